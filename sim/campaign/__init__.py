@@ -1,4 +1,5 @@
-"""Simulation of all combinations in a campaign file, on all cores or on a cluster, with one Parquet file as the result.
+"""Simulation of all combinations that a campaign file describes, on all cores or on a cluster, with one Parquet file as the
+result.
 
 Start with `command`, which runs the steps in order. `file` and `samples` read the campaign file. `plan` numbers the runs, and
 `batch` simulates them. `store` saves the results, and `manifest` saves the gains. `summary` and `best` evaluate the results.

@@ -1,4 +1,6 @@
-"""`python -m sim.campaign FILE`: simulates all combinations in a campaign file, and compares them with linear predictions."""
+"""`python -m sim.campaign FILE`: simulates all combinations that a campaign file describes, and compares the results with
+linear predictions.
+"""
 
 if __name__ == "__main__":
     from models.common.cli import run

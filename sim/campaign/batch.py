@@ -29,10 +29,10 @@ from synth.controller.controller import is_linear
 
 
 def _is_exact(runs: Sequence[PlannedRun]) -> bool:
-    """Returns True if the linear response of `sim.observers.twin.Twin` is exact for these runs.
+    """Returns True if the linear response that `sim.observers.twin.Twin` computes is exact for the runs.
 
     The response is exact only for a vehicle without nonlinear springs and dampers, and for linear laws that do not set
-    semi-active dampers. The laws must either act without delay, noise and quantisation, or request no force.
+    semi-active dampers. The control laws must either work without delay, noise and quantisation, or request no force.
     """
     vehicle = runs[0].vehicle
     linear = all(is_linear(run.controller, run.vehicle) for run in runs)
@@ -82,8 +82,8 @@ class RowObserver:
 
         Args:
             plan: all runs of the campaign.
-            runs: runs of one controller.
-            batch: batch of the simulation; its attribute `numbers` contains the indices of its runs in `runs`.
+            runs: runs with the same controller.
+            batch: batch that is simulated; the attribute `numbers` contains the indices of the batch's runs in `runs`.
         """
         campaign, runs = plan.campaign, [runs[i] for i in batch.numbers]
         random, loaded = runs[0].choice.stationary, [run.road.loaded for run in runs]
@@ -106,7 +106,7 @@ class RowObserver:
             self._twin.take(block)
 
     def result(self) -> list[tuple[RunEnd, dict[str, Any]]]:
-        """Returns, for each run, the end of its linear regime and the columns with its metrics."""
+        """Returns, for each run, the end of the linear regime and the result columns that contain the metrics."""
         ends, measured = self._ends.result(), self._meter.result()
         if self._linear is not None:
             measured |= {f"{LINEAR}{name}": each for name, each in self._linear.result().items()}
@@ -119,10 +119,10 @@ class RowObserver:
 
 
 def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) -> tuple[Rows, list[int]]:
-    """Simulates runs of one controller.
+    """Simulates runs with the same controller.
 
     Returns:
-        Rows of the results, and the indices of the runs whose failure may have been caused by another run.
+        Rows of the results, and the indices of failed runs whose failure may have been caused by a different run.
 
     Raises:
         StoppedError: `stopped` returned True.
@@ -149,7 +149,9 @@ def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) 
 
 
 def end_columns(end: RunEnd) -> dict[str, Any]:
-    """Returns the columns that state why a run was aborted (None if it was not), and when and why its linear regime ended."""
+    """Returns the columns that state when and why a run's linear regime ended, and why the run was aborted (None if it
+    finished).
+    """
     reason = None
     if end.broke_off == FLAT.name:
         reason = f"flat: a tyre is compressed by more than {MOST_SQUEEZE:g} m at {WHEN.text(end.flat)}"
@@ -168,7 +170,7 @@ def end_columns(end: RunEnd) -> dict[str, Any]:
 def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
     """Returns the international roughness indices (IRI) of the driven part of a run's road [m/km], by name.
 
-    `plan` keeps the IRIs for other runs over the same road.
+    `plan` stores the roughness indices, so that they are not computed again for other runs over the same road.
     """
     key = (*(run.inputs[name] for name in ("road", "speed", "seed")), track_width(run.vehicle))
     if (kept := plan.roughness.get(key)) is None:
@@ -181,9 +183,10 @@ def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
 
 
 def _expected_columns(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
-    """Returns columns for a run over a random road: expected metrics, and the transient that remains at the start of measurement.
+    """Returns the result columns for a run over a random road: expected metrics, and the transient that remains when
+    measurement starts.
 
-    The result is empty if the road has no spectrum.
+    No columns are returned if the road has no spectrum.
     """
     spectrum, controller, start = run.road.spectrum, run.controller, float(campaign.time[campaign.first])
     if spectrum is None:

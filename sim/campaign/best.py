@@ -1,7 +1,8 @@
-"""Selects the best controller of a campaign by one metric, within limits on other metrics, and writes it to a vehicle file.
+"""Selects the best controller of a campaign by one metric, within limits on other metrics, and writes this controller to a
+vehicle file.
 
 All controllers of the campaign are candidates. If parameters of a control law are sampled, each variant is a candidate. All
-candidates drive over the same roads.
+candidates are simulated over the same roads.
 """
 
 import math
@@ -38,11 +39,11 @@ DRAWN_KEY = Field[float]("drawn key", float, ".6g")
 
 @dataclass(frozen=True)
 class Request:
-    """The metric of `--best` and the limits of `--subject-to`.
+    """The metric that `--best` minimises, and the limits on other metrics that `--subject-to` sets.
 
     Attributes:
         metric: name of the metric that is minimised.
-        limits: upper limits of other metrics by name, in SI units.
+        limits: upper limits on other metrics, by name of the metric, in SI units.
         units: units of the limits; empty for a limit without a unit.
     """
 
@@ -52,7 +53,7 @@ class Request:
 
     @property
     def words(self) -> str:
-        """Text that lists the limits, such as "peak_travel <= 0.08 m"; empty if there are no limits."""
+        """Text that lists the limits on metrics, such as "peak_travel <= 0.08 m"; empty if there are no limits."""
         return " and ".join(f"{name} <= {limit:g} {self.units[name]}".rstrip() for name, limit in self.limits.items())
 
 
@@ -61,14 +62,15 @@ class Choice:
     """Result of the selection for one vehicle: the best candidate, or the candidate nearest to the limits.
 
     Attributes:
-        vehicle: name of the vehicle in the campaign.
-        request: metric and limits that the user requested.
+        vehicle: name of the vehicle in the campaign file.
+        request: metric to minimise and limits on other metrics, as the user requested them.
         candidate: selected candidate; None if no candidate has values for all requested metrics.
-        values: sampled values of the parameters in the law of the selected candidate, by key; empty if no parameters are
+        values: sampled values of the parameters of the selected candidate's control law, by key; empty if no parameters are
             sampled.
-        numbers: values of the requested metrics for the selected candidate, in SI units.
-        within: number of candidates within the limits; if this number is 0, `candidate` is the one nearest to the limits.
-        count: number of candidates.
+        numbers: values of the requested metrics for the selected candidate, by name of the metric, in SI units.
+        within: number of candidates that satisfy all limits; if no candidate does, `candidate` is the candidate nearest to the
+            limits.
+        count: number of candidates that were compared.
     """
 
     vehicle: str
@@ -81,13 +83,17 @@ class Choice:
 
     @property
     def misses(self) -> dict[str, float]:
-        """For each limit that the candidate exceeds: the difference between its value and the limit, by metric, in SI units."""
+        """For each limit that the selected candidate exceeds: the metric's value minus the limit, by name of the metric, in SI
+        units.
+        """
         limits = self.request.limits.items() if self.candidate is not None else ()
         return {name: self.numbers[name] - limit for name, limit in limits if self.numbers[name] > limit}
 
     @property
     def record(self) -> dict[str, Any]:
-        """The choice as a JSON object. `nearest` replaces `best` if no candidate is within the limits."""
+        """The selected candidate and its metrics as a JSON object. The key `nearest` replaces the key `best` if no candidate
+        satisfies all limits.
+        """
         candidate, request = self.candidate, self.request
         about = {"vehicle": self.vehicle, "metric": request.metric, "limits": dict(request.limits)}
         about |= {"within": self.within, "of": self.count, "best": None, "nearest": None}
@@ -99,7 +105,7 @@ class Choice:
 
     @property
     def statement(self) -> Statement:
-        """The choice as a printed sentence."""
+        """A sentence for the printed output that states the selected candidate and its metrics."""
         request, candidate = self.request, self.candidate
         if candidate is None:
             absent = list_names([request.metric, *request.limits])
@@ -129,7 +135,7 @@ class Choice:
 
 
 def requested_best(campaign: Campaign, best: str | None, limits: Sequence[str], save: Path | None) -> Request | None:
-    """Returns the request of `--best` and `--subject-to`; None if `--best` is not given.
+    """Returns the request that the options `--best` and `--subject-to` state; None without the option `--best`.
 
     Raises:
         InputError: a metric is unknown or missing for a vehicle, a limit is not a number, or options cannot be combined.
@@ -158,14 +164,14 @@ def requested_best(campaign: Campaign, best: str | None, limits: Sequence[str], 
 
 
 def _check_metric(option: str, name: str, campaign: Campaign) -> None:
-    """Raises InputError if a vehicle of the campaign does not have this metric."""
+    """Raises InputError if a vehicle of the campaign does not have the requested metric."""
     for vehicle, one in campaign.vehicles.items():
         if name not in (there := _known_metrics(one, campaign)):
             raise InputError(f"{option} {name}: vehicle {vehicle!r} has no metric {name}; it has {list_names(there)}")
 
 
 def _known_metrics(vehicle: Vehicle, campaign: Campaign) -> dict[str, tuple[Metric, ...]]:
-    """Returns the metrics of a vehicle by name.
+    """Returns the metrics that a campaign computes for a vehicle, by name.
 
     A metric is either a single column of the results, or an entry of the registry `METRICS`, which may combine several columns.
     """
@@ -174,11 +180,11 @@ def _known_metrics(vehicle: Vehicle, campaign: Campaign) -> dict[str, tuple[Metr
 
 
 def _check_save(campaign: Campaign, path: Path) -> None:
-    """Checks that `--save` is possible.
+    """Checks that the option `--save` can save a vehicle file with the selected controller.
 
     Raises:
-        InputError: the campaign has several vehicles, the name of a saved controller exists already, or the saved file could
-            not be read.
+        InputError: the campaign has several vehicles, the name for the saved controller exists already, or Roadproof could not
+            read the saved file.
     """
     if len(campaign.vehicles) > 1:
         raise InputError(f"--save needs a campaign with one vehicle, not {len(campaign.vehicles)}; omit --save, or list one")
@@ -221,17 +227,18 @@ def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
 
 
 def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity: str) -> str:
-    """Writes the vehicle file with the chosen controller; returns the name of the controller in this file.
+    """Writes the vehicle file with the selected controller; returns the name of this controller in the written file.
 
-    A variant is written as a new section NAME_tuned. Any other controller keeps its section. A comment in the file contains the
-    command, the metrics and the checksum of the campaign. If writing fails, no incomplete file remains.
+    A controller with sampled parameters is written as a new section NAME_tuned. A controller without sampled parameters keeps
+    its section in the vehicle file. A comment in the written file states the command, the metrics and the checksum of the
+    campaign. If writing fails, no incomplete file remains.
 
     Args:
         path: path of the vehicle file to write.
         campaign: campaign from which the controller was chosen.
         choice: result of the selection, which must contain a candidate.
         command: command line with which the campaign was run.
-        identity: checksum of the campaign.
+        identity: checksum that identifies the campaign.
 
     Raises:
         InputError: the file cannot be written, or is not a valid vehicle file.

@@ -1,4 +1,6 @@
-"""The columns of a campaign's results: name, type, unit and definition, which the metadata of the Parquet file contain."""
+"""The columns of a campaign's results: the metadata of the Parquet file contain the name, type, unit and definition of each
+column.
+"""
 
 from collections.abc import Mapping
 
@@ -26,11 +28,11 @@ INTEGER, NUMBER, TEXT = pa.int64(), pa.float64(), pa.string()
 
 
 def columns(campaign: Campaign, metadata: Mapping[str, str]) -> pa.Schema:
-    """Returns all columns of the results in order, each with its unit and definition.
+    """Returns all columns of the results in order, each with a unit and a definition.
 
     Args:
         campaign: campaign to which the results belong.
-        metadata: entries for the metadata of the whole Parquet file, by key.
+        metadata: additional metadata for the Parquet file as a whole, by key.
     """
     metrics = {metric.name: metric for vehicle in campaign.vehicles.values() for metric in metrics_of(vehicle, campaign.loaded)}
     rough = dict.fromkeys(name for vehicle in campaign.vehicles.values() for name in roughness_names(vehicle))

@@ -1,4 +1,4 @@
-"""The command `sim.campaign`: runs a campaign or a part of it, merges parts, or checks finished results."""
+"""The command `sim.campaign`: runs a campaign or one of its parts, merges the results of all parts, or checks results."""
 
 import argparse
 import json
@@ -40,7 +40,7 @@ NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions a
 
 
 def run_campaign(options: argparse.Namespace) -> int:
-    """Simulates the runs of a campaign that have no results yet, and prints the results; returns the exit code.
+    """Simulates those runs of a campaign that have no results yet, and prints the results of all runs; returns the exit code.
 
     Raises:
         InputError: the campaign file or the results folder is invalid, options cannot be combined, or the disk is full.
@@ -113,7 +113,8 @@ def run_part(options: argparse.Namespace) -> int:
     Prints the progress of the campaign.
 
     Raises:
-        InputError: the campaign file or the results folder is invalid, the part overlaps another part, or the disk is full.
+        InputError: the campaign file or the results folder is invalid, the part shares runs with an existing part, or the disk
+            is full.
     """
     part, campaign, folder = parts.part_of(options.part), _read(options), _folder(options)
     if (folder / NAME).exists():
@@ -146,7 +147,7 @@ def run_part(options: argparse.Namespace) -> int:
 
 
 def _read(options: argparse.Namespace) -> Campaign:
-    """Reads the campaign file, prints remarks about its roads, and checks that the options can be combined."""
+    """Reads the campaign file, prints remarks about the roads in this file, and checks that the options can be combined."""
     campaign = read_campaign(options.file)
     first, fastest, lasts = next(iter(campaign.vehicles.values())), max(campaign.speeds), campaign.duration
     for road in campaign.roads:
@@ -174,7 +175,7 @@ def _cluster(options: argparse.Namespace) -> AbstractContextManager[None]:
 
 
 def _simulate(options: argparse.Namespace, plan: Plan, store: Store, stage: Stages) -> Progress:
-    """Simulates the runs without a row in the results folder, and joins the files of all batches."""
+    """Simulates the runs that have no row in the results folder yet, and joins the files of all batches into one."""
     for remark in store.damaged:
         print(f"roadproof: {remark}", file=sys.stderr)
     stage("runs")
@@ -196,11 +197,11 @@ def _simulate(options: argparse.Namespace, plan: Plan, store: Store, stage: Stag
 
 
 def _merge(campaign: Campaign, folder: Path) -> None:
-    """Writes the results and the plan of the whole campaign from its parts, unless both files exist already.
+    """Joins the parts of a campaign to the files with its results and its plan, unless both files exist already.
 
     Raises:
-        InputError: parts overlap, are missing or unfinished, or belong to another campaign or to other versions of the
-            packages.
+        InputError: parts overlap, are missing or unfinished, or were simulated for a different campaign or with different
+            versions of the packages.
     """
     # An earlier command has merged the parts, but was interrupted while it removed their folders
     if (folder / RESULTS).exists() and (folder / NAME).exists():
@@ -219,7 +220,7 @@ def _merge(campaign: Campaign, folder: Path) -> None:
 
 
 def check_results(options: argparse.Namespace) -> int:
-    """Checks a finished campaign and prints the findings; returns the exit code.
+    """Checks the results of a finished campaign and prints any errors that it finds; returns the exit code.
 
     Raises:
         InputError: the folder contains no finished campaign, or the campaign cannot be read on this machine.
@@ -241,7 +242,9 @@ def check_results(options: argparse.Namespace) -> int:
 
 
 def _verify_runs(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, Any], str]:
-    """Returns the number of runs, the findings of `verify`, and a remark if the campaign file has been changed or deleted."""
+    """Returns the number of runs, the errors that `verify` finds, and a remark if the campaign file has been changed or
+    deleted.
+    """
     manifest = read_manifest(folder, FINISHED_ADVICE) if folder.is_dir() else None
     if manifest is None:
         raise InputError(f"--verify {folder}: this folder contains no campaign; {FINISHED_ADVICE}")
@@ -269,14 +272,15 @@ def _verify_runs(options: argparse.Namespace, folder: Path) -> tuple[int, dict[s
 
 
 def _begin_manifest(campaign: Campaign, folder: Path, file: Path, exported: Path | None, shared: bool = False) -> Manifest:
-    """Returns the manifest of the campaign. If the campaign begins now, its gains are designed and its manifest is written.
+    """Returns the manifest of the campaign. If the campaign has not begun yet, this function designs the gains and writes the
+    manifest.
 
     Args:
         campaign: campaign to which the runs belong.
-        folder: folder of the manifest.
+        folder: folder that contains the manifest, or to which it is written.
         file: path of the campaign file.
-        exported: folder with exported code that replaces one of the controllers, or None.
-        shared: True for the folder that all parts of the campaign share, in which another process may write at the same time.
+        exported: folder with exported code that runs instead of one of the controllers; None without such code.
+        shared: True for the folder that all parts of the campaign share, to which several processes may write at the same time.
     """
     count = Plan(campaign, {}).count
     if count > MOST_RUNS:
@@ -293,7 +297,9 @@ def _begin_manifest(campaign: Campaign, folder: Path, file: Path, exported: Path
 
 
 def _plan(campaign: Campaign, manifest: Manifest, folder: Path, part: CampaignPart | None = None) -> tuple[Plan, Store]:
-    """Returns the plan of the runs, with the gains of the manifest, and the results store of the campaign or of `part`."""
+    """Returns the plan of the runs, with the gains from the manifest, and the store for the results of the campaign or of
+    `part`.
+    """
     about = {"campaign": campaign.text, "versions": json.dumps(versions()), "controllers": json.dumps(manifest.controllers)}
     plan = plan_controllers(replace(campaign, earlier=manifest.earlier), manifest.controllers)
     where, share = (folder, plan.share(1, 1)) if part is None else (part.folder(folder), plan.share(part.number, part.of))

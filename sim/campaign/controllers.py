@@ -1,7 +1,7 @@
 """The controllers of a campaign, which are designed when the campaign begins and stay the same until it ends.
 
-The results folder contains the gains, but not the code of laws in Python. The files of these laws must not change before the
-campaign ends.
+The results folder contains the designed gains, but not the code of control laws written in Python. The files of control laws
+written in Python must not change before the campaign ends.
 """
 
 from collections.abc import Mapping
@@ -31,11 +31,11 @@ def design_controllers(campaign: Campaign, exported: Path | None = None) -> dict
 
     Args:
         campaign: campaign to which the runs belong.
-        exported: folder with exported code that replaces one of the controllers, or None.
+        exported: folder with exported code that runs instead of one of the controllers; None without such code.
 
     Raises:
         DesignError: a controller cannot be designed.
-        InputError: the file of a law cannot be read, or the exported code does not match.
+        InputError: the file of a control law cannot be read, or the exported code belongs to a different controller or vehicle.
     """
     controllers_by_vehicle = {}
     for name, vehicle in campaign.vehicles.items():
@@ -48,16 +48,17 @@ def design_controllers(campaign: Campaign, exported: Path | None = None) -> dict
 
 
 def plan_controllers(campaign: Campaign, gains: Gains) -> Plan:
-    """Returns the plan of the runs, with the controllers designed at the beginning of the campaign, and with their variants.
+    """Returns the plan of the runs, with the controllers that were designed when the campaign began, and with the variants of
+    these controllers.
 
-    This function does not run any law in Python.
+    This function does not run any control law written in Python.
 
     Args:
         campaign: campaign to which the runs belong.
         gains: designed gains that the results folder contains, by vehicle and controller.
 
     Raises:
-        InputError: the file of a law cannot be read, or has changed since the campaign began.
+        InputError: the file of a control law cannot be read, or has changed since the campaign began.
     """
     controllers: dict[str, dict[str, AnyController]] = {}
     drawn: dict[str, dict[str, list[AnyController]]] = {}
@@ -72,7 +73,7 @@ def plan_controllers(campaign: Campaign, gains: Gains) -> Plan:
 
 
 def _restore_controller(designer: Designer, name: str, entry: Mapping[str, Any]) -> AnyController:
-    """Returns a controller from its entry in the stored gains.
+    """Builds a controller from its entry in the gains that the results folder contains.
 
     If the campaign began with exported code for this controller, the code is compiled again.
     """
@@ -94,7 +95,7 @@ def _restore_controller(designer: Designer, name: str, entry: Mapping[str, Any])
 
 
 def _draw_controller(designer: Designer, name: str, values: Values) -> AnyController:
-    """Returns a controller in which sampled values replace parameters of its law."""
+    """Returns a controller in whose control law sampled values replace the original parameters."""
     entry = drawn_entry(designer.vehicle, name, values)
     law = entry.law
     return entry.driver(no_design if law is None else lambda name: designer.certify(name, entry.measured, law, entry.hardware))
@@ -104,7 +105,7 @@ def check_code(gains: Gains, exported: Path) -> None:
     """Checks that the exported code in a folder is the code with which the campaign began.
 
     Raises:
-        InputError: the code differs, or the campaign began without exported code.
+        InputError: the exported code has changed since the campaign began, or the campaign began without exported code.
     """
     from synth.controller.export.folder import MANIFEST
 

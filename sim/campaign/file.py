@@ -1,6 +1,6 @@
-"""Reading of a campaign file (TOML).
+"""Reads a campaign file in TOML format.
 
-The file lists parameters to sample, and vehicles, controllers, roads, speeds and seeds, which the campaign combines.
+The file lists vehicles, controllers, roads, speeds and seeds, all of which the campaign combines, and the parameters to sample.
 """
 
 import hashlib
@@ -51,7 +51,9 @@ def _seeds(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
 
 
 def _road(value: Any, context: Mapping[str, Any]) -> str:
-    """Converts a road to the syntax of `--road`; the file gives the road in this syntax or as a table with the key `type`."""
+    """Converts a road in the campaign file, either text in the syntax of `--road` or a table with the key `type`, to this
+    syntax.
+    """
     if isinstance(value, Mapping):
         if value.get("type") not in ROAD_KINDS or value["type"] in OBSTACLES:
             read_road(HERE, value)
@@ -84,24 +86,26 @@ class CampaignFile(Section):
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """Content of a campaign file. Runs are all combinations of vehicles, controllers, roads, speeds, seeds and samples.
+    """Content of a campaign file, as an object. The campaign has one run for each combination of vehicle, controller, road,
+    speed, seed and sample.
 
     Attributes:
-        vehicles: vehicles, by their names in the campaign file.
-        controllers: names of the controllers; every vehicle must have all of them.
+        vehicles: vehicles of the campaign, by their names in the campaign file.
+        controllers: names of the controllers, all of which every vehicle must have.
         roads: requested roads.
-        speeds: speeds of the vehicles [m/s].
+        speeds: speeds at which all vehicles drive [m/s].
         seeds: seeds of the random roads. A road that is not random is simulated only once, whatever the seeds.
         duration: duration of every run [s].
-        settle: duration of the initial part of a run that is not measured [s], for random roads. Runs over other roads are
-            measured from the start.
+        settle: time from the start of a run over a random road until measurement starts [s]. Runs over roads that are not
+            random are measured from the start.
         timestep: timestep of the simulation [s].
-        samples: sampled parameters of each vehicle, with values [SI] by name; a single empty sample if nothing is sampled.
-        variants: variants of each law with sampled parameters, by vehicle and controller; a variant maps keys of the law to
-            values.
+        samples: samples of each vehicle's parameters, each with values [SI] by name of the parameter; a single empty sample if
+            nothing is sampled.
+        variants: variants of each control law with sampled parameters, by vehicle and controller; a variant maps keys of the
+            law to sampled values.
         sample_seed: seed of the random numbers from which samples and variants are drawn.
         text: text of the campaign file.
-        earlier: True to repeat a campaign of an earlier version of Roadproof, see `RoadInput.earlier`.
+        earlier: True to repeat a campaign that was begun with an earlier version of Roadproof, see `RoadInput.earlier`.
     """
 
     vehicles: Mapping[str, Vehicle]
@@ -125,17 +129,19 @@ class Campaign:
 
     @property
     def loaded(self) -> bool:
-        """True if loads act on the body over at least one road. The angles of the body are then measured in all runs."""
+        """True if external loads act on the vehicle's body on at least one road of the campaign. If external loads act on the
+        vehicle's body, the angles of the body are measured in all runs.
+        """
         return any(road.loads for road in self.roads)
 
     @property
     def first(self) -> int:
-        """Index of the first measured time step on a random road."""
+        """Index of the first time step that is measured in a run over a random road."""
         return round(self.settle / self.timestep)
 
     @property
     def digest(self) -> str:
-        """Checksum of all inputs of the results: the campaign file, the vehicle files and the files of roads."""
+        """Checksum of all files on which the results depend: the campaign file, the vehicle files and the files of roads."""
         # OpenCRG roads always come last, whatever their order in the file, because the checksums in existing results folders
         # were computed in this order.
         roads = sorted(self.roads, key=lambda road: isinstance(road.road, Surface))
@@ -154,11 +160,11 @@ def read_campaign(path: Path) -> Campaign:
 
 
 def parse_campaign(text: str, path: Path) -> Campaign:
-    """Returns a campaign from the text of its file.
+    """Builds a campaign from the text of a campaign file.
 
     Args:
         text: text of the campaign file.
-        path: path of the campaign file. Relative paths in this file are relative to its folder.
+        path: path of the campaign file. Relative paths in the campaign file are relative to the folder of this file.
     """
     with error_in(f"campaign file {path}:"):
         return _parse(text, path.parent)
@@ -205,12 +211,13 @@ def _parse(text: str, folder: Path) -> Campaign:
 
 
 def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> None:
-    """Checks that a list contains no duplicates, even with different spelling, because duplicate runs would count twice.
+    """Checks that a list contains no duplicates, not even two spellings of the same entry, because duplicate runs would count
+    twice.
 
     Args:
         key: key of the list in the campaign file.
-        written: entries as written in the campaign file.
-        read: entries in a normal form, in which entries with the same content are equal.
+        written: entries of the list as they are written in the campaign file.
+        read: entries of the list in a normal form, in which two spellings of the same entry are equal.
     """
     first: dict[Hashable, str] = {}
     for value, meant in zip(written, read, strict=True):
@@ -227,7 +234,7 @@ def _what_it_is(road: RoadChoice, vehicle: Vehicle) -> Hashable:
 
 
 def _file_checksums(road: RoadChoice) -> list[str]:
-    """Returns lines that identify the files of a road and of its loads, with checksums; empty if no file is read."""
+    """Returns lines with the checksums of all files from which a road and its loads are read; empty if no file is read."""
     measured = road.road
     arrays = [getattr(measured, name) for name in FILE_POINTS.get(type(measured), ())]
     named = [*measured.posts] if isinstance(measured, Rig) else [measured.join] if isinstance(measured, Profile) else []

@@ -1,4 +1,6 @@
-"""The plan of a campaign in its results folder: a copy of the campaign file, the gains and the versions of packages."""
+"""The plan of a campaign, stored in the results folder: a copy of the campaign file, the designed gains and the versions of
+packages.
+"""
 
 import contextlib
 import json
@@ -32,14 +34,14 @@ class Manifest:
     """Plan of a campaign, which does not change after the campaign has begun.
 
     Attributes:
-        file: absolute path of the campaign file when the campaign began.
-        digest: checksum of all inputs of the results, see `Campaign.digest`.
+        file: absolute path that the campaign file had when the campaign began.
+        digest: checksum of all files on which the results depend, see `Campaign.digest`.
         versions: versions of the packages that affect the results, by name.
         campaign: text of the campaign file.
         controllers: gains of the designed controllers, by vehicle and controller.
         runs: number of runs in the campaign.
-        earlier: True for a campaign of an earlier version of Roadproof, see `RoadInput.earlier`.
-        part: part of the campaign that this folder contains, such as 3/40; empty for a whole campaign.
+        earlier: True for a campaign that was begun with an earlier version of Roadproof, see `RoadInput.earlier`.
+        part: part of the campaign that the folder contains, such as 3/40; empty if the folder is for the whole campaign.
     """
 
     file: str
@@ -52,7 +54,7 @@ class Manifest:
     part: str = ""
 
     def write(self, folder: Path) -> "Manifest":
-        """Writes this plan to the results folder, and returns the plan.
+        """Writes the plan of the campaign to the results folder, and returns the plan.
 
         Raises:
             InputError: the file cannot be written.
@@ -62,7 +64,8 @@ class Manifest:
         return self
 
     def publish(self, folder: Path) -> "Manifest":
-        """Creates a folder with this plan, unless another process creates it first; returns the plan that is then in the folder.
+        """Creates a folder with this plan, unless another process creates the folder first; returns the plan that the folder
+        then contains.
 
         Raises:
             InputError: the folder cannot be created.
@@ -79,7 +82,7 @@ class Manifest:
         return read_manifest(folder) or self
 
     def check(self, folder: Path, digest: str, versions: Mapping[str, str], instead: str = ELSEWHERE) -> None:
-        """Checks that the plan in a folder belongs to this campaign and to the installed versions.
+        """Checks that the plan in a folder belongs to the present campaign and to the installed versions of packages.
 
         Args:
             folder: results folder, whose path the error message contains.
@@ -88,7 +91,7 @@ class Manifest:
             instead: advice to the user at the end of the error message.
 
         Raises:
-            InputError: the checksum or a version differs.
+            InputError: the checksum of the campaign or the version of a package differs from that in the plan.
         """
         if self.digest != digest:
             raise InputError(f"{folder} contains the results of another campaign, or its files have changed; {instead}")
@@ -131,7 +134,9 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
 
 
 def gains_of(controllers: Mapping[str, Mapping[str, AnyController]]) -> dict[str, dict[str, dict[str, Any]]]:
-    """Returns the gains (for a law in Python, the checksum) by vehicle and controller as JSON objects, with all digits."""
+    """Returns each controller's gain with all digits as a JSON object, by vehicle and controller; a law in Python has a
+    checksum instead.
+    """
     return {
         vehicle: {name: {key: value for key, value in one.record.items() if key != "name"} for name, one in some.items()}
         for vehicle, some in controllers.items()
@@ -140,9 +145,10 @@ def gains_of(controllers: Mapping[str, Mapping[str, AnyController]]) -> dict[str
 
 @contextlib.contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Creates a results folder and locks it while the context is active.
+    """Creates a results folder, and locks this folder for other processes while the context is active.
 
-    The operating system releases the lock, however the process ends. If no campaign begins, the lock file is removed.
+    The operating system releases the lock when the process ends, even after a crash. The lock file is removed if no campaign
+    has begun while the folder was locked.
 
     Raises:
         InputError: the folder cannot be created or written, or another campaign is running in it.

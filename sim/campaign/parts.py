@@ -1,10 +1,11 @@
 """Parts of a campaign, for the job queue of a cluster: each part is one job.
 
-The machines need a shared folder, but no file locks. Jobs can run in any order.
+The machines of the cluster need a shared folder, but the file system need not support file locks. The jobs of a campaign can
+run in any order.
 
-The results folder contains a folder `parts` with the plan, which the first part writes when it starts. `parts` also contains a
-folder for each part, such as `3-of-40`, with its own copy of the plan. `--merge` makes the results of the whole campaign from
-these folders.
+The results folder contains a folder `parts` with the plan of the campaign, which the first job writes when it starts. `parts`
+also contains a folder for each part, such as `3-of-40`, with its own copy of the plan. The option `--merge` joins the results
+in the folders of all parts to the results of the whole campaign.
 """
 
 import itertools
@@ -28,7 +29,7 @@ class CampaignPart:
 
     Attributes:
         of: total number of parts.
-        number: number of this part, from 1 to `of`.
+        number: number of the part, from 1 to `of`.
     """
 
     of: int
@@ -38,7 +39,7 @@ class CampaignPart:
         return f"{self.number}/{self.of}"
 
     def folder(self, campaign: Path) -> Path:
-        """Returns the folder of this part. `campaign` is the results folder of the whole campaign."""
+        """Returns the folder for the results of a part. `campaign` is the results folder of the whole campaign."""
         return campaign / PARTS / f"{self.number}-of-{self.of}"
 
 
@@ -57,7 +58,7 @@ def part_of(text: str) -> CampaignPart:
 
 
 def there(folder: Path) -> list[CampaignPart]:
-    """Returns the parts that have a folder in the results folder of their campaign, in ascending order.
+    """Returns the parts of a campaign that have a folder in its results folder, in ascending order.
 
     Raises:
         InputError: parts overlap, because the campaign was divided into different numbers of parts.
@@ -69,10 +70,11 @@ def there(folder: Path) -> list[CampaignPart]:
 
 
 def check_overlap(folder: Path, parts: Sequence[CampaignPart]) -> None:
-    """Checks that all parts have the same total number of parts. If the numbers differ, two parts contain the same runs.
+    """Checks that all part folders belong to the same division of the campaign, that is, to the same total number of parts. If
+    the total numbers of parts differ, some runs belong to two parts.
 
     Raises:
-        InputError: two parts overlap.
+        InputError: two parts contain the same runs.
     """
     if parts and parts[0].of != parts[-1].of:
         raise InputError(
@@ -87,7 +89,7 @@ def unfinished_parts(folder: Path, of: int) -> list[int]:
 
 
 def parts_text(numbers: Sequence[int], of: int) -> str:
-    """Lists the numbers of parts as text, such as "parts 4, 7-9 of 40"."""
+    """Returns the numbers of parts as text, such as "parts 4, 7-9 of 40"."""
     runs = [[number for _, number in some] for _, some in itertools.groupby(enumerate(numbers), lambda one: one[1] - one[0])]
     said = ", ".join(f"{run[0]}-{run[-1]}" if run[1:] else str(run[0]) for run in runs)
     return f"part{'s' * (len(numbers) > 1)} {said} of {of}"
@@ -105,10 +107,11 @@ def begin(folder: Path, part: CampaignPart, plan: Manifest) -> None:
 
 
 def check(folder: Path, part: CampaignPart, plan: Manifest, digest: str, versions: Mapping[str, str]) -> None:
-    """Checks that the folder of a part belongs to this campaign, and has the same gains and package versions.
+    """Checks that the folder of a part belongs to this campaign, and that gains and package versions are those of the campaign.
 
     Raises:
-        InputError: the folder contains another part, or its campaign, gains or package versions are different.
+        InputError: the folder contains a different part, or a part with a different campaign, different gains or different
+            package versions.
     """
     own = part.folder(folder)
     manifest = read_manifest(own, AGAIN)

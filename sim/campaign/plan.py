@@ -1,4 +1,6 @@
-"""The runs of a campaign: their numbers, order, batches and parts, and the progress of the simulation."""
+"""The runs of a campaign: how they are numbered, ordered, and divided into batches and parts; and the progress of the
+simulation.
+"""
 
 import itertools
 import math
@@ -35,7 +37,7 @@ Runs = Sequence[tuple[int, int]]
 
 @dataclass(frozen=True)
 class Candidate:
-    """A controller of a vehicle, or a variant of a controller whose law has sampled parameters.
+    """A controller of a vehicle, or one variant of a controller whose control law has sampled parameters.
 
     Attributes:
         controller: name of the controller.
@@ -47,7 +49,7 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Name in tables, such as `skyhook#12` for variant 12."""
+        """Name of the controller or variant in tables, such as `skyhook#12` for variant 12."""
         return self.controller if self.variant is None else f"{self.controller}#{self.variant}"
 
 
@@ -55,16 +57,16 @@ class Candidate:
 class RunBlock:
     """All runs of one vehicle with one controller over one road at one speed.
 
-    The runs have consecutive numbers. The seed changes fastest from run to run, then the sample, then the variant.
+    The runs have consecutive numbers. From one run to the next, the seed changes first, then the sample, and last the variant.
 
     Attributes:
         start: number of the first run.
-        vehicle, controller: names in the campaign file.
-        road, speed: road, and speed [m/s].
-        variants: sampled parameters of the law by key, one mapping for each variant; None if none are sampled.
-        samples: sampled parameters of the vehicle by name [SI], one mapping for each sample; a single empty sample if none are
-            sampled.
-        seeds: seeds of the road; only the first seed if the road is not random.
+        vehicle, controller: names of the vehicle and the controller in the campaign file.
+        road, speed: road, and the vehicle's speed on this road [m/s].
+        variants: sampled parameters of the control law by key, one mapping for each variant; None if no parameters are sampled.
+        samples: sampled parameters of the vehicle by name [SI], one mapping for each sample; a single empty mapping if no
+            parameters are sampled.
+        seeds: seeds of the random road; for a road that is not random, only the first seed.
     """
 
     start: int
@@ -83,12 +85,12 @@ class RunBlock:
 
     @property
     def stop(self) -> int:
-        """Number of the last run plus 1."""
+        """Number of the block's last run plus 1."""
         return self.start + math.prod(self.shape)
 
     @property
     def candidates(self) -> dict[Candidate, Array]:
-        """The controller, or each of its variants, with the numbers of its runs, shape (n,)."""
+        """The controller, or each variant of it, with the numbers of the runs that belong to it, shape (n,)."""
         numbers = [None] if self.variants is None else range(len(self.variants))
         runs = np.split(np.arange(self.start, self.stop), len(numbers))
         return {Candidate(self.controller, number): some for number, some in zip(numbers, runs, strict=True)}
@@ -96,16 +98,17 @@ class RunBlock:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All runs of a campaign with their numbers.
+    """All runs of a campaign, each with a number.
 
-    From run to run, the vehicle changes most slowly, then the controller, the road and the speed. A road that is not random is
-    simulated once, not for each seed.
+    In the order of the runs, the vehicle changes least often; the controller, the road and the speed change increasingly often.
+    A road that is not random is simulated once, not for each seed.
 
     Attributes:
         campaign: campaign to which the runs belong.
-        controllers: controllers by vehicle and name.
-        variants: controllers with sampled parameters of the law, one for each variant, by vehicle and controller.
-        roughness: international roughness indices [m/km] of recent roads, kept because many runs share a road.
+        controllers: controllers of the campaign, by name of the vehicle and name of the controller.
+        variants: controllers whose control laws have sampled parameters, one for each variant, by name of the vehicle and of
+            the controller.
+        roughness: international roughness indices [m/km] of the most recent roads, stored because many runs use the same road.
     """
 
     campaign: Campaign
@@ -125,12 +128,12 @@ class Plan:
 
     @property
     def count(self) -> int:
-        """Number of all runs."""
+        """Number of runs in the campaign."""
         return self.blocks[-1].stop
 
     @cached_property
     def distances(self) -> Array:
-        """Distance that each run drives while it is measured [m], shape (count,)."""
+        """Distance that the vehicle drives during the measured part of each run [m], shape (count,)."""
         c, blocks = self.campaign, self.blocks
         counts = [len(c.time) - (c.first if one.road.stationary else 0) for one in blocks]
         of_blocks = [one.speed * count * c.timestep for one, count in zip(blocks, counts, strict=True)]
@@ -141,21 +144,21 @@ class Plan:
         return [block.start for block in self.blocks]
 
     def place(self, run: int) -> tuple[RunBlock, int, int, int]:
-        """Returns the block that contains a run, and the run's indices of variant, sample and seed within this block."""
+        """Returns the block that contains a run, and the indices of the run's variant, sample and seed within this block."""
         block = self.blocks[bisect_right(self._starts, run) - 1]
         variant, sample, seed = map(int, np.unravel_index(run - block.start, block.shape))
         return block, variant, sample, seed
 
     def driver(self, vehicle: str, candidate: Candidate) -> AnyController:
-        """Returns the controller of a candidate."""
+        """Returns the controller with which the runs of a candidate are simulated."""
         drawn = self.variants.get(vehicle, {}).get(candidate.controller)
         return self.controllers[vehicle][candidate.controller] if drawn is None else drawn[candidate.variant or 0]
 
     def candidates(self, vehicle: str) -> dict[Candidate, Array]:
-        """Returns the candidates of a vehicle, each with the numbers of its runs, shape (n,).
+        """Returns the candidates of a vehicle, each with the numbers of the candidate's runs, shape (n,).
 
-        If the campaign draws samples of a law's parameters, the resulting variants are candidates instead of the controller
-        itself.
+        If the campaign samples the parameters of a control law, the resulting variants are candidates, and the controller
+        itself is not.
         """
         runs: dict[Candidate, list[Array]] = {}
         for block in (one for one in self.blocks if one.vehicle == vehicle):
@@ -164,11 +167,11 @@ class Plan:
         return {candidate: np.concatenate(some) for candidate, some in runs.items()}
 
     def share(self, number: int, of: int) -> Runs:
-        """Returns the runs of one part of the campaign, as intervals of run numbers in ascending order. All parts take about
-        the same time.
+        """Returns the runs of one part of the campaign, as intervals of run numbers in ascending order. The parts take about
+        equally long to simulate.
 
-        The runs of each vehicle are distributed in rounds: each round gives every part one interval of consecutive runs and
-        starts with another part. Each part therefore has runs of all controllers, roads and speeds.
+        The runs of each vehicle are distributed in rounds. Each round gives every part one interval of consecutive runs, and
+        starts with a different part. Each part therefore contains runs with all controllers, roads and speeds.
 
         Args:
             number: number of the part, from 1 to `of`.
@@ -187,10 +190,11 @@ class Plan:
         return share
 
     def batches(self, gaps: Iterable[tuple[int, int]], most: Callable[[], int]) -> Iterator[tuple[int, int]]:
-        """Yields batches (start, stop) of missing runs. Each batch has runs of one vehicle, and its results fit into memory.
+        """Yields batches (start, stop) of runs that have no results yet. All runs of a batch are of one vehicle, and the
+        results of a batch fit into memory.
 
         Args:
-            gaps: intervals (start, stop) of missing runs, ascending.
+            gaps: intervals (start, stop) of the numbers of runs that have no results yet, in ascending order.
             most: function that returns the largest allowed size of the next batch; called before each batch.
         """
         ends = {block.vehicle: block.stop for block in self.blocks}
@@ -203,7 +207,7 @@ class Plan:
                 start = end
 
     def inputs(self, run: int) -> dict[str, Any]:
-        """Returns those columns of a results row that describe the inputs of its run."""
+        """Returns those columns of a run's row in the results that describe the inputs of the run."""
         block, variant, sample, seed = self.place(run)
         law = block.variants[variant] if block.variants else None
         return {
@@ -218,7 +222,9 @@ class Plan:
         }
 
     def runs(self, start: int, stop: int) -> "list[PlannedRun]":
-        """Returns consecutive runs of one vehicle. Runs with the same sample share one vehicle object."""
+        """Returns the `PlannedRun` objects of consecutive runs of one vehicle. Runs with the same sample share one vehicle
+        object.
+        """
         c, runs, vehicles = self.campaign, [], dict[int, Vehicle]()
         for run in range(start, stop):
             block, variant, sample, seed = self.place(run)
@@ -232,13 +238,13 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class PlannedRun:
-    """All inputs of one run.
+    """All inputs of one run: vehicle, controller and road.
 
     Attributes:
         inputs: columns of the results that describe the inputs of the run.
         vehicle: vehicle with the sampled parameters of this run.
         controller: controller of the run.
-        choice, road: the road as requested in the campaign file, and the resulting road for this vehicle, speed and seed.
+        choice, road: the road as described in the campaign file, and the resulting road for this vehicle, speed and seed.
     """
 
     inputs: Mapping[str, Any]
@@ -249,12 +255,14 @@ class PlannedRun:
 
     @property
     def system(self) -> tuple[int, int]:
-        """Key that is equal for runs with the same vehicle and the same controller."""
+        """Key that identifies the vehicle and the controller of a run: runs with the same vehicle and controller have equal
+        keys.
+        """
         return id(self.vehicle), id(self.controller)
 
 
 class Progress:
-    """Progress of a campaign: finished runs, speed of the simulation, remaining time, and size of the next batch."""
+    """Progress of a campaign: number of finished runs, speed of the simulation, remaining time, and size of the next batch."""
 
     def __init__(self, plan: Plan, total: int, most: int, tell: Callable[[str], None]) -> None:
         self.steps, self.total, self.done, self.began = len(plan.campaign.time), total, 0, time.monotonic()
@@ -262,7 +270,7 @@ class Progress:
 
     @property
     def rate(self) -> float:
-        """Simulated time steps of all runs per second."""
+        """Number of time steps that are simulated per second, over all runs together."""
         return self.done * self.steps / max(time.monotonic() - self.began, 1e-9)
 
     def next_batch(self) -> int:
@@ -270,11 +278,11 @@ class Progress:
         return self._next
 
     def add(self, runs: int, took: float) -> None:
-        """Adds finished runs and shows the progress.
+        """Adds finished runs to the progress of the campaign, and prints the progress.
 
         Args:
             runs: number of finished runs.
-            took: time that one worker needed to simulate these runs [s].
+            took: time that one worker needed to simulate the finished runs [s].
         """
         self._next = min(self._most, max(FEWEST, round(LOST_TIME * runs / max(took, 1e-9))))
         self.done += runs

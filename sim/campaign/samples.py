@@ -1,7 +1,7 @@
-"""Section `[samples]` of a campaign file: distributions of vehicle parameters and of the keys of control laws.
+"""Section `[samples]` of a campaign file: distributions of vehicle parameters and of parameters of control laws.
 
-Vehicles and laws are sampled independently. Every variant of a law is simulated with every sample of the vehicle over the same
-roads, so two variants differ only in the law.
+Vehicle parameters and the parameters of control laws are sampled independently. Every variant of a control law is simulated
+with every sample of the vehicle over the same roads, so that only the law differs between variants.
 """
 
 import unicodedata
@@ -41,12 +41,12 @@ class SamplesSection(Section):
 
 @dataclass(frozen=True)
 class Sampler:
-    """Random sampling of parameters.
+    """Random sampling of vehicle and control-law parameters.
 
     Attributes:
-        count: number of samples.
+        count: number of samples to draw.
         method: sampling method, one of `METHODS`.
-        seed: seed of the random numbers.
+        seed: seed of the random numbers from which samples are drawn.
     """
 
     count: int
@@ -64,16 +64,16 @@ class Sampler:
         """Returns `count` samples of the parameters in a table, each with values by name.
 
         Args:
-            where: section of the table and name of the vehicle, which error messages contain.
-            table: distributions by name of the parameter.
-            own: value of each parameter that can be sampled, from the vehicle file; None for a parameter without a value.
-                Relative distributions are multiples of these values.
-            check: function that raises InputError if a value is not allowed.
+            where: section that contains the table, and name of the vehicle, for error messages.
+            table: distributions of the sampled parameters, by name of the parameter.
+            own: value in the vehicle file for each parameter that can be sampled; None for a parameter without a value in this
+                file. Relative distributions are multiples of the values in the vehicle file.
+            check: function that raises InputError if a sampled value is not allowed.
             units: units of the parameters that have a unit, by name.
 
         Raises:
-            InputError: the table contains an unknown name or an invalid distribution, or a distribution reaches an invalid
-                value.
+            InputError: the table contains an unknown parameter or an invalid distribution, or a distribution contains invalid
+                values.
         """
         quantiles: dict[str, Callable[[Array], Array]] = {}
         scales: dict[str, float] = {}
@@ -108,7 +108,7 @@ def read_samples(
     """Reads the section `[samples]`.
 
     Args:
-        section: the section; None if the campaign file does not have one.
+        section: content of the section `[samples]`; None if the campaign file does not have this section.
         vehicles: vehicles of the campaign by name.
         controllers: names of the controllers of the campaign.
 
@@ -182,8 +182,8 @@ def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, t
     """Reads a distribution.
 
     Returns:
-        Whether the distribution is relative to the value in the vehicle file; its smallest and largest value; and its quantile
-        function.
+        Whether the distribution is relative to the value in the vehicle file; the smallest and largest value of the
+        distribution; and its quantile function.
     """
     give = f"give {name} = {{ uniform = [low, high] }} or {{ normal = [mean, deviation] }}; relative = true may be added"
     relative = entry.get("relative", False) if isinstance(entry, dict) else None

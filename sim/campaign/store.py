@@ -1,8 +1,8 @@
 """Results of a campaign on disk: one Parquet file per batch while the campaign runs, and one file with all runs at the end.
 
-The file name of a batch contains the number of its first run and the number after its last run. Each file appears only when it
-is complete. A campaign can therefore continue after any interruption: it simulates the runs that have no file. If a file is
-damaged, its runs are simulated again.
+The file name of a batch contains the number of the first run, and the number of the last run plus 1. A file appears in the
+results folder only when it is complete. After any interruption, a campaign can therefore continue, and simulates only the runs
+that no file contains. If a file is damaged, its runs are simulated again.
 """
 
 import re
@@ -31,14 +31,15 @@ class Store:
     Attributes:
         folder: path of the results folder.
         schema: columns of the results, with type, unit and definition.
-        share: numbers of the runs that the finished results must contain, as ascending intervals (start, stop).
-        parts: complete files of batches, by the number of the first run; each entry contains the number after the last run, and
+        share: run numbers that the finished results must contain, as ascending intervals (start, stop).
+        parts: complete files of batches, by the number of the first run; each entry contains the last run's number plus 1, and
             the path.
-        damaged: a sentence for each incomplete file, whose runs are simulated again.
+        damaged: one sentence for each file that is incomplete or belongs to a different campaign, and whose runs are simulated
+            again.
     """
 
     def __init__(self, folder: Path, schema: pa.Schema, share: Runs) -> None:
-        """Reads the state of a folder without changing the folder."""
+        """Reads which runs a results folder contains, without changing the folder."""
         self.folder, self.schema, self.share = folder, schema, share
         self.parts: dict[int, tuple[int, Path]] = {}
         self.damaged: list[str] = []
@@ -53,7 +54,7 @@ class Store:
 
     @property
     def results(self) -> Path:
-        """Path of the file with all runs, which exists when all runs are finished."""
+        """Path of the file with the results of all runs, which exists only when all runs are finished."""
         return self.folder / RESULTS
 
     @property
@@ -68,7 +69,7 @@ class Store:
                 path.unlink()
 
     def missing(self) -> list[tuple[int, int]]:
-        """Returns the runs without a row as ascending intervals (start, stop)."""
+        """Returns the numbers of the runs that have no row in the results yet, as ascending intervals (start, stop)."""
         if self.finished:
             return []
         gaps, done = list[tuple[int, int]](), sorted(self.parts)
@@ -85,7 +86,7 @@ class Store:
 
     @property
     def left(self) -> int:
-        """Number of runs that do not have a row yet."""
+        """Number of runs that have no row in the results yet."""
         return sum(stop - start for start, stop in self.missing())
 
     def write(self, start: int, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -138,16 +139,16 @@ class Store:
         self._write(self.results, pa.concat_tables(pieces[start] for start in sorted(pieces)).combine_chunks())
 
     def read(self, names: Sequence[str]) -> pa.Table:
-        """Returns the columns with these names, for all rows that exist so far.
+        """Returns the columns with the requested names, for all rows of the results that exist so far.
 
         Raises:
-            InputError: a file is damaged, or another version of Roadproof wrote it with other columns.
+            InputError: a file is damaged, or was written by a different version of Roadproof with different columns.
         """
         paths = [self.results] if self.finished else [self.parts[start][1] for start in sorted(self.parts)]
         return pa.concat_tables([_read(path, names) for path in paths] or [self.schema.empty_table().select(list(names))])
 
     def _has(self, path: Path, runs: Runs) -> bool:
-        """Returns True if a file is complete, and contains exactly these runs and all columns."""
+        """Returns True if a file is complete, and contains exactly the expected runs and all columns."""
         try:
             return _are_runs(_read(path, ["run"], self.schema.names), runs)
         except InputError:
@@ -159,7 +160,7 @@ class Store:
 
 
 def _are_runs(table: pa.Table, runs: Runs) -> bool:
-    """Returns True if the rows of a table belong to these runs, in the same order."""
+    """Returns True if the rows of a table belong to the runs `runs`, in the same order."""
     return np.array_equal(table["run"].to_numpy(), np.concatenate([np.zeros(0, int), *(np.arange(*some) for some in runs)]))
 
 

@@ -1,7 +1,8 @@
-"""Summary of a campaign: tables by controller and road with linear predictions, and a figure of ride over road holding.
+"""Summary of a campaign: tables by controller and road with linear predictions, and a figure of ride against road holding.
 
-For a vehicle with semi-active dampers, a line in the figure shows the expected results of constant dampers over the same roads.
-The line begins at the softest damper. A controller below and left of this line is better than every constant damper.
+For a vehicle with semi-active dampers, a line in the figure shows the expected results on the same roads with constant damping.
+The line for constant dampers begins at the softest damper. A controller below and to the left of the line for constant dampers
+is better than every constant damper.
 """
 
 import itertools
@@ -38,15 +39,17 @@ LINES = {one.headline: f"{one.headline} [{one.unit.replace('s2', 's²')}]" for o
 
 
 def headlines(vehicle: Vehicle) -> dict[str, tuple[Metric, ...]]:
-    """Returns the metrics in the table by name: ride, travel and dynamic load. If a metric has several columns, the table shows
-    the column with the largest value.
+    """Returns the metrics that the table shows, by name: ride, travel and dynamic load. If a metric has several columns, the
+    table shows the column with the largest value.
     """
     headlines: dict[str, tuple[Metric, ...]] = {one.headline: tuple(map(one, one.compared(vehicle))) for one in HEADLINES}
     return headlines | {name: () for name in (ACROSS, UP) if name not in headlines}
 
 
 def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Score]]:
-    """Returns the score of each candidate over all its runs, by vehicle. The passive vehicle comes first."""
+    """Returns the score of each candidate over all runs of this candidate, by vehicle. The scores of the passive vehicle come
+    first.
+    """
     scores: dict[str, dict[Candidate, Score]] = {}
     for name, vehicle in plan.campaign.vehicles.items():
         metrics = list(dict.fromkeys(metric for some in columns_of(vehicle).values() for metric in some))
@@ -65,12 +68,13 @@ Scores = Mapping[str, Mapping[Candidate, Score]]  # score of each candidate for 
 
 
 def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Candidate | None]) -> list[str]:
-    """Returns the printed lines of a table of scores for each vehicle. A variant appears only if it is best in some column.
+    """Returns the printed lines of a table of scores for each vehicle. A variant of a control law appears in the table only if
+    it is best in at least one column.
 
     Args:
         campaign: the campaign. Runs over random roads are measured after the `settle` time of the campaign.
         scores: scores over all runs, see `compare`.
-        chosen: candidate that the table of each vehicle always contains, by vehicle; None if there is no such candidate.
+        chosen: candidate that the table of a vehicle always contains, by vehicle; None if no candidate was selected.
     """
     lines, settles = [], any(road.stationary for road in campaign.roads)
     begins = f"; random roads are measured from {campaign.settle:g} s on (settle)" if settles else ""
@@ -96,14 +100,15 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
 def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     """Returns one entry per vehicle, road, speed and controller, over all variants, samples and seeds.
 
-    For each metric of `headlines`, the entry contains the name of the worst column. The root mean square and 95th percentile of
-    this column over the runs follow. The entry also contains the root mean square of the prediction for the same runs. The
-    prediction is the expected value for random roads, and the linear response for other roads. Laws in Python have no
-    prediction.
+    For each metric of `headlines`, the entry contains the name of the worst column. The entry then contains the root mean
+    square and the 95th percentile of the worst column over all runs. The entry also contains the root mean square of the
+    metric's linear prediction for the same runs. The prediction is the expected value for random roads, and the linear response
+    for other roads. There is no linear prediction for control laws written in Python.
 
-    A run has left the linear regime if a tyre lifted off, a stop was reached, an actuator saturated, or the run was aborted.
-    Aborted runs have no metrics, and are left out of the results and of the predictions. Runs whose law failed have no metrics
-    either. For a law with sampled parameters, the entry also contains the root mean squares of each variant.
+    A run has left the linear regime if a tyre lifted off, an end stop was reached, an actuator saturated, or the run was
+    aborted. Aborted runs have no metrics, so the root mean squares of the results and of the predictions do not include these
+    runs. Runs in which the control law failed have no metrics either. For a control law with sampled parameters, the entry also
+    contains the root mean squares of each variant.
     """
     lines = {name: headlines(vehicle) for name, vehicle in plan.campaign.vehicles.items()}
     metrics = list(dict.fromkeys(one.name for kinds in lines.values() for some in kinds.values() for one in some))
@@ -141,16 +146,17 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
 
 
 def _statistics(columns: Mapping[str, Array], metrics: Sequence[Metric], some: Array, distances: Array) -> dict[str, Any]:
-    """Returns statistics of the worst metric: value over all runs, standard error, 95th percentile and prediction.
+    """Returns statistics of the worst metric: root mean square over all runs, its standard error, 95th percentile and linear
+    prediction.
 
-    Runs without metrics do not count. All entries are None if the vehicle type does not have these metrics. For example, a
-    vehicle without a suspension has no travel.
+    Runs without metrics are ignored. All statistics are None if the vehicle type does not have the requested metrics. For
+    example, a vehicle without a suspension has no travel.
 
     Args:
         columns: columns of the results by name, shape (count,) each.
-        metrics: metrics to compare.
-        some: numbers of the runs to evaluate, shape (n,).
-        distances: measured distance of every run [m], shape (count,).
+        metrics: metrics among which the worst is selected.
+        some: numbers of the runs to which the statistics refer, shape (n,).
+        distances: distance that the vehicle drives in the measured part of each run [m], shape (count,).
     """
     there = some[np.all([np.isfinite(columns[one.name][some]) for one in metrics], axis=0)] if metrics else some[:0]
     if not len(there):
@@ -170,7 +176,9 @@ def _statistics(columns: Mapping[str, Array], metrics: Sequence[Metric], some: A
 
 
 def _standard_error(values: Array) -> float | None:
-    """Returns the standard error of a root mean square over runs, from the variance of the squares; None for a single run."""
+    """Returns the standard error of a root mean square over runs, computed from the variance of the squared values; None for a
+    single run.
+    """
     rms = float(np.sqrt(np.mean(values**2)))
     return float(np.std(values**2, ddof=1) / np.sqrt(len(values)) / (2 * rms)) if len(values) > 1 and rms else None
 
@@ -191,7 +199,8 @@ SEEN = 6  # largest number of rows, and of columns, in the table of the ride
 
 
 def describe(entries: Sequence[Mapping[str, Any]]) -> Document:
-    """Returns the printed results: ride on each road (if there are few roads), runs that left the linear regime, and details.
+    """Returns the printed results: ride on each road (if the campaign has few roads), runs that left the linear regime, and
+    details.
 
     The details, one table for each road and speed, are printed only with `-v`.
 
@@ -234,9 +243,9 @@ def _place(vehicle: str, road: str, speed: float, entries: Sequence[Mapping[str,
 
 
 def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[Block]:
-    """Returns a table of the ride of a vehicle: a row for each road and speed, a column for each controller.
+    """Returns a table of the ride metric of a vehicle, with a row for each road and speed and a column for each controller.
 
-    The result is empty for a single road, or if there are more than `SEEN` rows or columns.
+    No table is returned for a single road, or if the table would have more than `SEEN` rows or columns.
     """
     by_place: dict[str, dict[str, float | None]] = {}
     for entry in entries:
@@ -250,8 +259,9 @@ def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[Block]:
 
 
 def _all_roads(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Adds up the counts in a controller's entries for all roads; also returns the first reason for an aborted run, and the
-    first error of a law.
+    """Adds up the counts of runs in a controller's entries for all roads.
+
+    The result also contains the first reason for an aborted run, and the first error of a control law.
     """
     whole: dict[str, Any] = dict(entries[0])
     whole |= {one.key: sum(entry[one.key] for entry in entries) for one in COUNTS if one.key in whole}
@@ -260,7 +270,7 @@ def _all_roads(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _remarks(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Returns sentences about controllers with aborted or failed runs, and about laws in Python and FMUs."""
+    """Returns sentences about controllers with aborted or failed runs, and about control laws in Python or in FMUs."""
     said = []
     for entry in entries:
         who = as_name(entry["controller"])
@@ -284,7 +294,7 @@ ACROSS_LABEL, UP_LABEL = "dynamic tyre load, rms [of the static load]", "weighte
 
 
 def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], scores: Scores) -> Figure | None:
-    """Returns a figure of ride over dynamic tyre load, both as root mean squares over the MuJoCo runs.
+    """Returns a figure of ride against dynamic tyre load, both as root mean squares over the MuJoCo runs.
 
     The figure has a panel for each road and speed, and a point for each vehicle, controller and variant.
 
@@ -294,7 +304,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], scores: Scores) 
         scores: scores over all runs, see `compare`.
 
     Returns:
-        The figure; None if no run has both metrics.
+        The figure; None if no run has a ride metric and a load metric.
     """
     campaign, several = plan.campaign, len(plan.campaign.vehicles) > 1
     own = {vehicle: f", {vehicle}" if several else "" for vehicle in campaign.vehicles}
@@ -335,15 +345,17 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], scores: Scores) 
 
 
 def _points(entry: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """Returns the points (dynamic load, ride) of a controller, or of each of its variants; points that lack one of these
-    numbers are omitted.
+    """Returns the points (dynamic load, ride) of a controller or of its variants; a point is omitted if its load or its ride is
+    unknown.
     """
     ones = entry.get("variants") or [{line: entry[line]["rms"] for line in (ACROSS, UP)}]
     return [(one[ACROSS], one[UP]) for one in ones if one[ACROSS] is not None and one[UP] is not None]
 
 
 def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
-    """Returns error bars of two standard errors around a controller's point, drawn as one curve; empty for a single run."""
+    """Returns error bars of two standard errors around a controller's point as one curve; empty if the controller has only one
+    run.
+    """
     x, y = entry[ACROSS]["rms"], entry[UP]["rms"]
     across, up = entry[ACROSS].get("standard_error"), entry[UP].get("standard_error")
     if across is None or up is None:
@@ -353,9 +365,9 @@ def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
 
 
 def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Array, dict[str, list[float]]]:
-    """Returns points with the expected dynamic load and ride of a vehicle at a given speed.
+    """Returns points with the expected dynamic load and ride of a vehicle on one road at one speed.
 
-    Both results are empty if the road is not random, the campaign samples parameters of the vehicle, or the vehicle has no
+    Both sets of points are empty if the road is not random, the campaign samples vehicle parameters, or the vehicle has no
     semi-active dampers.
 
     Args:
@@ -365,9 +377,9 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
         speed: speed of the vehicle [m/s].
 
     Returns:
-        Points (dynamic load, ride) of constant dampers, softest first, shape (k, 2). Points of linear controllers by name,
-        computed as if ideal actuators applied every requested force. Controllers are omitted if the campaign samples parameters
-        of their laws.
+        Points (dynamic load, ride) of the vehicle with constant damping, the softest damping first, shape (k, 2). Points
+        (dynamic load, ride) of linear controllers by name, computed as if ideal actuators applied every requested force.
+        A controller is omitted if the campaign samples parameters of its control law.
     """
     campaign, vehicle, lines = plan.campaign, plan.campaign.vehicles[name], headlines(plan.campaign.vehicles[name])
     choice = next(one for one in campaign.roads if one.text == road)

@@ -26,12 +26,13 @@ def verify(plan: Plan, store: Store, gains: Gains, count: int, seed: int, progre
         plan: runs of the campaign, with the gains that the results folder contains.
         store: results of the campaign.
         gains: gains that the results folder contains, by vehicle and controller.
-        count: number of runs to repeat.
-        seed: seed of the random choice of these runs.
+        count: number of randomly chosen runs to repeat.
+        seed: seed of the random choice of the runs to repeat.
         progress: function that receives the number of runs repeated so far.
 
     Returns:
-        `rows`, the number of rows; `again`, the numbers of the repeated runs; `faults`, a sentence for each difference.
+        `rows`, the number of rows; `again`, the numbers of the repeated runs; `faults`, a sentence for each error in the
+        results.
 
     Raises:
         InputError: the campaign is not finished.
@@ -56,7 +57,7 @@ def verify(plan: Plan, store: Store, gains: Gains, count: int, seed: int, progre
 
 
 def _wrong_inputs(plan: Plan, table: pa.Table) -> Iterator[str]:
-    """Yields a sentence if rows are missing, duplicated or in the wrong order; otherwise, a sentence about the first row
+    """Yields a sentence if rows are missing, duplicated or in the wrong order; otherwise, yields a sentence about the first row
     with wrong inputs.
     """
     if not np.array_equal(table["run"].to_numpy(), np.arange(plan.count)):
@@ -74,13 +75,13 @@ def _wrong_inputs(plan: Plan, table: pa.Table) -> Iterator[str]:
 
 
 def _differences(run: str, there: Mapping[str, Any], now: Mapping[str, Any], where: str) -> Iterator[str]:
-    """Yields a sentence if a row differs from the expected values.
+    """Yields a sentence if a row of the results differs from the expected values.
 
     Args:
-        run: name of the run in the sentence.
-        there: row of the results that is checked.
-        now: expected values of this row, by column.
-        where: words in the sentence that state the origin of the expected values.
+        run: words that name the run in the sentence.
+        there: values in the row that is checked, by column.
+        now: expected values of the checked row, by column.
+        where: words in the sentence that state where the expected values come from.
     """
     wrong = [name for name, value in there.items() if not _same(value, now.get(name))]
     if wrong:
@@ -89,7 +90,9 @@ def _differences(run: str, there: Mapping[str, Any], now: Mapping[str, Any], whe
 
 
 def _same(there: Any, now: Any) -> bool:
-    """Returns True if two cells of the results are equal. Numbers may differ by the rounding errors of another machine."""
+    """Returns True if two cells of the results are equal. Two numbers count as equal if their difference may be due to rounding
+    errors on a different machine.
+    """
     if isinstance(there, float) and isinstance(now, float):
         return math.isclose(there, now, rel_tol=SAME, abs_tol=ROUNDING)
     return there == now

@@ -50,10 +50,10 @@ def cluster(address: str) -> Iterator[None]:
 
     Args:
         address: `HERE` for a temporary cluster of this machine's cores, `auto` for the cluster that this machine belongs to, or
-            HOST:PORT of the cluster's head.
+            HOST:PORT of a cluster's head node.
 
     Raises:
-        InputError: Ray is not installed, or there is no cluster at the address.
+        InputError: Ray is not installed, or no Ray cluster answers at the address.
     """
     try:
         import ray  # pyright: ignore[reportMissingImports] - an extra
@@ -75,7 +75,7 @@ def cluster(address: str) -> Iterator[None]:
 
 
 def _check_address(address: str) -> None:
-    """Checks that a server answers at an address, because Ray itself would try for minutes."""
+    """Checks that a server answers at an address, because Ray itself would try to connect for minutes."""
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not (colon and host and port.isdecimal() and 0 < int(port) < 2**16):
         raise InputError(f"--ray {address}: this is not an address; give HOST:PORT of the cluster's head, or auto")
@@ -89,7 +89,9 @@ def _check_address(address: str) -> None:
 
 
 def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Generator[BatchResult]:
-    """Runs batches on the connected Ray cluster, and yields the result of each batch. If a worker dies, its batch is repeated."""
+    """Runs batches on the connected Ray cluster, and yields the result of each batch. If a worker process dies, the batch that
+    it was simulating is repeated.
+    """
     import ray  # pyright: ignore[reportMissingImports] - an extra
 
     remote: Any = ray.remote(num_cpus=1, max_retries=RETRIES)(run_timed)

@@ -1,4 +1,6 @@
-"""The command `python -m sim.drive`: simulates controllers over a road, compares with linear analysis, and measures the ride."""
+"""The command `python -m sim.drive`: simulates controllers over a road, compares the runs with linear analysis, and measures
+the ride.
+"""
 
 if __name__ == "__main__":
     from models.common.cli import run

@@ -1,7 +1,7 @@
 """Actuators of N runs: they limit requested forces, set MuJoCo's controls, and record the signals of semi-active dampers.
 
-A controller receives the suspension velocity, linearised at equilibrium. If the body pitches or rolls, the velocity of the damper
-itself is slightly different, due to geometry.
+A controller receives the suspension velocity computed with the geometry in equilibrium. If the body pitches or rolls, the
+damper's actual velocity is slightly different.
 """
 
 from collections.abc import Sequence
@@ -36,18 +36,19 @@ class Actuators:
     """Actuators of N vehicles of one type, all with semi-active dampers at the same suspensions.
 
     Without semi-active dampers, commands are forces [N], shape (N, m). With semi-active dampers, commands have the shape (N, 2
-    m). The first m columns are damping coefficients minus the nominal ones [N s/m], or forces of active actuators [N]. The
-    other m columns are the missing forces, which the dampers cannot produce. See `CoefficientRange.commands`. MuJoCo applies
-    the force limit and the lag of active actuators.
+    m). The first m columns are forces of active actuators [N], or, for semi-active dampers, damping coefficients minus the
+    nominal coefficients [N s/m]. The last m columns are the missing forces, that is, the parts of the requested forces that the
+    dampers cannot produce. See `CoefficientRange.commands`. MuJoCo itself applies the force limit and the lag of active
+    actuators.
 
     Attributes:
         forces: number m of forces per run.
         size: number of commands per run: m, or 2 m with semi-active dampers.
-        closing: matrix that maps (qpos, qvel) to the closing velocity of each suspension, shape (m + c, nq + nv). Rows of
-            active actuators, and of the travels and states of voltage-controlled elements, are 0. The shape is (0, nq + nv)
-            without semi-active dampers.
+        closing: matrix that maps (qpos, qvel) to the closing velocity of each suspension, shape (m + c, nq + nv). Rows that
+            belong to active actuators, or to travels and states of voltage-controlled elements, are 0. Without semi-active
+            dampers, the shape of this matrix is (0, nq + nv).
         at_rest: small offsets that keep the closing velocities different from 0, shape (m + c,) or (0,).
-        lags: True if a coefficient lags behind its command.
+        lags: True if the damping coefficient of a semi-active damper lags behind its command.
         over_travel: True if the motion ratios of semi-active dampers change with travel, or if there are voltage-controlled
             elements.
     """
@@ -76,10 +77,11 @@ class Actuators:
             self._ramps = np.repeat([inputs.index(force) for force in ramps], [len(own) for own in ramps.values()])
 
     def turn(self, closing: Array, deflections: Array) -> None:
-        """Multiplies the closing velocities of dampers by the relative motion ratio r(d) / r(0). The array is changed in place.
+        """Multiplies the closing velocities of dampers by the relative motion ratio r(d) / r(0). The array of velocities is
+        changed in place.
 
         Args:
-            closing: closing velocities, computed with the motion ratios in equilibrium, shape (N, m).
+            closing: closing velocities of the suspensions [m/s], computed with the motion ratios in equilibrium, shape (N, m).
             deflections: deflections of all suspensions [m], shape (N, s).
         """
         if self._of is not None:
@@ -90,19 +92,19 @@ class Actuators:
 
         Args:
             deflections: deflections of all suspensions [m], shape (N, s).
-            own: internal states of the vehicle's parts, shape (N, k).
+            own: internal states of the suspension parts of each vehicle, shape (N, k).
         """
         assert self._of is not None, "a vehicle with adjustable dampers"
         return np.concatenate([np.zeros((len(own), 0)), *self._of.of_elements(deflections, own)], axis=-1)
 
     def commands(self, requested: Array, closing: Array, which: Array | slice, requests: str) -> Array:
-        """Returns the commands for the runs with the given indices, shape (d, size).
+        """Returns the actuator commands for the runs with the indices `which`, shape (d, size).
 
         Args:
-            requested: forces, coefficients or commands that the driver requests, see `sim.drive.driver.Driver`.
-            requests: meaning of the requests: "forces", "coefficients" or "commands".
+            requested: forces, damping coefficients or commands that the driver requests, see `sim.drive.driver.Driver`.
+            requests: meaning of the values in `requested`: "forces", "coefficients" or "commands".
             closing: closing velocities of the suspensions [m/s], shape (d, m), or (d, 0) without semi-active dampers.
-            which: indices of these d runs in the batch.
+            which: indices in the batch of the d runs that receive commands.
         """
         if self._of is None or requests == "commands":
             return requested
@@ -111,7 +113,7 @@ class Actuators:
         return self._of.commands(np.concatenate([requested, closing], axis=-1), which)
 
     def apply(self, controls: Array, commands: Array) -> None:
-        """Sets MuJoCo's controls, shape (N, nu). In this array, the actuators of the commands come first."""
+        """Sets MuJoCo's controls, shape (N, nu). The first controls belong to the actuators that receive the commands."""
         controls[:, : self.forces] = commands[:, : self.forces]
         if len(self._ramps):
             controls[:, -len(self._ramps) :] = commands[:, self._ramps]
@@ -120,9 +122,10 @@ class Actuators:
         """Writes the signals of semi-active dampers into the signal array of several samples.
 
         Args:
-            values: signals of the samples, shape (B, S, N), changed in place.
-            commands: commands that act from each sample on, shape (B, N, size).
-            activations: states of MuJoCo's actuators (activations), shape (B, N, na), or (0, N, na) if no coefficient lags.
+            values: signals at the samples, shape (B, S, N); this array is changed in place.
+            commands: actuator commands that act from each sample on, shape (B, N, size).
+            activations: states of MuJoCo's actuators (activations), shape (B, N, na), or (0, N, na) if no damping coefficient
+                lags behind its command.
         """
         if self._of is None:
             return

@@ -15,13 +15,15 @@ from synth.controller.controller import Controller
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State at the start of a run, for vehicles without semi-active dampers.
+    """State of vehicle and controller at the start of a run, for vehicles without semi-active dampers.
 
     Attributes:
         motion: positions and velocities of MuJoCo, states of the vehicle's parts, and activations, shape (nq + nv + k + na,).
-        acting_forces: forces that already act before the first sample [N], shape (m,).
-        law, undelayed_forces: states of the controller, and of the second controller without delay, both in discrete form.
-        pending_forces: delayed forces that act at the first sample or later, in the order in which they act [N], shape (d, m).
+        acting_forces: control forces that already act just before the first sample [N], shape (m,).
+        law, undelayed_forces: states of the controller, and states of the second controller, which has no delay; both in
+            discrete time.
+        pending_forces: delayed control forces that act at the first sample or later, in the order in which they act [N], shape
+            (d, m).
     """
 
     motion: Array
@@ -33,17 +35,18 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A single run: vehicle, controller and road.
+    """Description of a single run: vehicle, controller and road.
 
     Attributes:
-        vehicle: vehicle of the run, with its force limits and the implementation of its controller.
-        driver: controller of the run, or recorded commands that replace it.
-        road: road of the run, with the loads on the body if there are any.
-        start: state at the start of the run. If None, the run starts in equilibrium or, on a measured road, in steady motion.
-        undelayed_controller: second controller without `[implementation]`, whose forces are added to those of the first
-            controller; None if there is no second controller.
-        earlier: True to repeat a run of an earlier version of Roadproof, see `RoadInput.earlier`.
-        input: road heights at the sample times, if they have been computed before; otherwise None.
+        vehicle: vehicle of the run, including force limits and the implementation of the controller.
+        driver: controller of the run, or recorded commands that replace the controller.
+        road: road of the run, including any external loads on the body.
+        start: state at the start of the run. If `start` is None, the run starts in equilibrium or, on a measured road, in
+            steady motion.
+        undelayed_controller: second controller, which runs without `[implementation]`; None if there is no second controller.
+            The forces of both controllers are added.
+        earlier: True to repeat a run that was made with an earlier version of Roadproof, see `RoadInput.earlier`.
+        input: road heights at the sample times, if these heights have been computed before; otherwise None.
     """
 
     vehicle: Vehicle
@@ -56,7 +59,7 @@ class Case:
 
 
 def inputs_of(cases: Sequence[Case], time: Array) -> list[RoadInput]:
-    """Returns the road inputs of cases at sample times [s]. Cases with the same vehicle and road share one input."""
+    """Returns the road inputs of cases at sample times [s]. Cases with the same vehicle and road share one `RoadInput` object."""
     made = dict[tuple[int, int, bool], RoadInput]()
     for one in cases:
         key = id(one.vehicle), id(one.road), one.earlier
@@ -69,24 +72,26 @@ class Batch:
     """Batch of N cases that are simulated together, at the same sample times.
 
     Attributes:
-        cases: the N cases. All vehicles have the same type and the same map from MuJoCo's state to signals, see `reads_out`.
+        cases: the N cases. All vehicles have the same type, and their signals depend in the same way on MuJoCo's state, see
+            `reads_out`.
         inputs: road input of each case.
         now: road heights at the samples [m], shape (T, N, r).
-        midway: road heights at which MuJoCo holds the road during each step [m], shape (T, N, r).
+        midway: constant road heights that MuJoCo uses during each step [m], shape (T, N, r).
         beyond: road heights at the E samples after the end of the run, which controllers need for preview [m], shape (E, N, r).
-        velocities: rates of change of the road heights at the samples [m/s], shape (T, N, r); None if not needed.
-        held_inputs: further inputs that MuJoCo holds over each step, see `RoadInput.held_inputs`, shape (T, N, l) or (T, N, l +
-            r); None if there are none.
-        effects: effects of the loads on the signals at the samples and on the measurements, see `RoadInput.in_signals`; None if
-            there are no loads.
-        sides: road heights [m] at vertical edges of the road, on the side that `now` does not contain, shape (N, r) each, by
-            index of the sample.
-        failures: failures of Python control laws, by run. A run with a failed law continues without forces. If `failures` is
-            None, the first failure is raised as an error.
-        numbers: index of each run among all cases; the keys of `failures`.
+        velocities: rates of change of the road heights at the samples [m/s], shape (T, N, r); None if these rates are not
+            needed.
+        held_inputs: further inputs that are constant during each step, see `RoadInput.held_inputs`, shape (T, N, l) or (T, N, l
+            + r); None if there are no such inputs.
+        effects: effects of the external loads on the signals at the samples and on the measurements, see
+            `RoadInput.in_signals`; None if there are no loads.
+        sides: road heights [m] at each vertical edge, on the side whose height `now` does not contain, by index of the sample;
+            shape (N, r) each.
+        failures: failures of Python control laws, by number of the run. A run whose control law has failed continues without
+            control forces. If `failures` is None, the first failure is raised as an error.
+        numbers: index of each run in the list of all cases; these indices are the keys of `failures`.
         diverged: time at which each run diverged [s], shape (N,); infinity for a run that has not diverged so far.
-        law_diverged: True for each run that diverged only because of the states of its law, see `Block.law_diverged`, shape
-            (N,).
+        law_diverged: True for each run that diverged only because the states of its control law diverged, see
+            `Block.law_diverged`, shape (N,).
     """
 
     cases: Sequence[Case]
@@ -120,7 +125,7 @@ class Batch:
 
     @cached_property
     def drivers(self) -> list[RunDriver]:
-        """Controller of each case, or the recorded commands that replace it."""
+        """Controller of each case, or the recorded commands that replace this controller."""
         return [one.driver for one in self.cases]
 
     def steady(self, samples: slice) -> Iterator[tuple[int, Array]]:
@@ -140,8 +145,9 @@ def batch_of(
     """Returns the batch of several cases at sample times from 0 [s].
 
     Args:
-        numbers: index of each case in the list of all cases; the keys of `failures`.
-        streamed: True for inputs that do not store their road heights. Such inputs avoid storing all samples twice.
+        numbers: index of each case in the list of all cases; these indices are the keys of `failures`.
+        streamed: True for road inputs that do not store their road heights. If False, all road heights are stored twice, in the
+            road inputs and in the batch.
         failures: dictionary that receives the failures of Python control laws; None to raise the first failure.
     """
     inputs, vehicles = inputs_of(cases, time), [one.vehicle for one in cases]
@@ -192,8 +198,8 @@ ROAD_ARRAYS = ("heights", "midway", "velocities")  # attributes of `RoadInput` t
 
 
 def _same_roads(inputs: Sequence[RoadInput]) -> list[RoadInput]:
-    """Returns the road inputs. Equal inputs are replaced by one object, so that the heights under the wheels are computed only
-    once.
+    """Returns the road inputs, without duplicate objects. Equal inputs are replaced by one object, so that the heights under
+    the wheels are computed only once.
     """
     keys = [(*road.vehicle.parameters.values(), id(road.road)) for road in inputs]
     first = dict(zip(reversed(keys), reversed(inputs), strict=True))

@@ -14,16 +14,16 @@ from sim.drive.driver import Driver, RunDriver
 
 
 class Computer:
-    """Computer that runs the driver of several runs, as described in `[implementation]` of their vehicles.
+    """Computer that executes one driver for several runs, as the section `[implementation]` of each vehicle file describes.
 
-    A measurement is quantisation * round((signal + noise) / quantisation). The resulting commands act `delay` samples later;
-    `delay` need not be an integer. A rate limit acts on the commands before the delay. Commands are 0 until the first ones
-    arrive. The states of the driver are not delayed.
+    A measurement is quantisation * round((signal + noise) / quantisation). The commands computed from a measurement act `delay`
+    samples later; `delay` need not be an integer. The rate limit on commands is applied before the delay. All commands are 0
+    until the first computed commands arrive after the delay. The states of the driver are not delayed.
 
     Attributes:
-        driver: driver of the runs.
+        driver: driver that computes the commands of the runs.
         runs: indices in the batch of the n runs that use this computer.
-        period: number of time steps per sample of the controller.
+        period: number of time steps in a sample period of the controller.
         used: states of the driver from which the last commands were computed, shape (n, k).
     """
 
@@ -39,16 +39,16 @@ class Computer:
         timestep: float,
         samples: int,
     ) -> None:
-        """Starts the driver for its n vehicles.
+        """Starts the driver for the n vehicles that it controls.
 
         Args:
             vehicles, how: vehicle and controller implementation of each of the n runs.
             actuators: actuators of all runs of the batch.
-            names: names of the signals that `step` receives, without the closing velocities that follow them.
-            heights: road heights of these runs at the time steps, and beyond the end of the runs as far as the driver previews
-                [m], shape (.., n, r).
+            names: names of the signals that `step` receives, without the closing velocities, which follow these signals.
+            heights: road heights of the n runs at the time steps, and beyond the end of the runs as far as the driver's preview
+                reaches [m], shape (.., n, r).
             timestep: duration of a time step of the runs [s].
-            samples: number of time steps of the runs.
+            samples: number of time steps in each run.
         """
         self.driver, self.runs, self._actuators, self._heights = driver, runs, actuators, heights
         self._limiter = None if driver.requests == "commands" else command_limiter(vehicles, timestep)
@@ -74,9 +74,9 @@ class Computer:
         """Sets the states and pending forces at the start of runs, and the commands that act until the first new commands arrive.
 
         Args:
-            starts: state of the driver and pending forces of each run that does not start in equilibrium, by index in the
-                batch.
-            commands: commands of all runs of the batch, shape (N, size), changed in place.
+            starts: initial state of the driver and pending forces of each run that does not start in equilibrium, by index in
+                the batch.
+            commands: actuator commands of all runs of the batch, shape (N, size); this array is changed in place.
         """
         for i, number in enumerate(np.arange(len(commands))[self.runs].tolist()):
             state, forces = starts.get(number, ((), []))
@@ -86,12 +86,12 @@ class Computer:
                 commands[number] = forces[0]
 
     def step(self, k: int, signals: Array, commands: Array) -> None:
-        """Sets the commands for time step k from the signals and closing velocities at the start of this step.
+        """Computes the commands for time step k from the signals and closing velocities at the start of this step.
 
         Args:
             k: index of the time step, from 0.
             signals: signals and closing velocities of all runs, shape (N, S).
-            commands: commands of all runs, shape (N, size), changed in place.
+            commands: actuator commands of all runs, shape (N, size); this array is changed in place.
         """
         sample, phase = divmod(k, self.period)
         if not phase:
@@ -132,7 +132,9 @@ class Computer:
 
 
 def measurement_noise(how: Sequence[Implementation], names: Sequence[str], samples: int) -> Array:
-    """Returns the noise of N controllers on signals, shape (samples, N, S); shape (0, N, S) without noise."""
+    """Returns the noise that is added to the measured signals of N controllers, shape (samples, N, S); shape (0, N, S) without
+    noise.
+    """
     rms = np.array([[one.noise.get(name, 0.0) for name in names] for one in how])
     noise = np.zeros((samples if np.any(rms) else 0, *rms.shape))
     for i, one in enumerate(how):
@@ -142,10 +144,10 @@ def measurement_noise(how: Sequence[Implementation], names: Sequence[str], sampl
 
 
 def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementation:
-    """Returns the implementation of a controller, without those of its effects that the control law or the code already
-    contains.
+    """Returns the implementation of a controller, without effects (such as delay) that the control law or the exported code
+    already contains.
 
-    Recorded commands have no implementation.
+    For recorded commands, the result is an implementation without any effects.
     """
     how = vehicle.implementation
     if not controller.implemented:

@@ -1,13 +1,15 @@
-"""Simulation of one or thousands of runs in MuJoCo: `drive` steps the cases, and observers receive the samples in blocks.
+"""Simulation of one or thousands of runs in MuJoCo: `drive` simulates the cases step by step, and observers receive the samples
+in blocks.
 
-The result agrees with linear analysis up to the error of RK4, which is proportional to the fourth power of the time step. Four
-measures ensure this accuracy:
+The simulation agrees with linear analysis up to the error of RK4, which is proportional to the fourth power of the time step.
+Four measures ensure this accuracy:
 
-- MuJoCo holds the road, a mocap body, over each step. The road is therefore placed at `RoadInput.midway`: its height midway
-  through the step or, for a measured road, its mean height over the step.
-- Signals are computed with the road height at the sample.
-- Loads on the body are also held over each step, at `RoadInput.held_loads`. Signals are computed with the load at the sample.
-- The controller is sampled: it receives the signals at each sample, and its force is held until the next sample.
+- In MuJoCo, the road is a mocap body, which stays at rest during each step. During a step, the road is therefore at
+  `RoadInput.midway`: its height midway through the step or, if measured, its mean height over the step.
+- Signals are computed with the road height at the sample, not with the height during the step.
+- External loads on the body are also constant during each step, with the values of `RoadInput.held_loads`. Signals are computed
+  with the value of each load at the sample.
+- The controller is sampled: it receives the signals at each sample, and its force is constant until the next sample.
 """
 
 import functools
@@ -32,19 +34,19 @@ FEWEST = 4
 
 
 class Observer(Protocol):
-    """Object that receives and evaluates the samples of a batch. Observers are created by functions that take a `Batch`."""
+    """Object that receives and evaluates the samples of a batch. An observer is created by a function that receives a `Batch`."""
 
     def take(self, block: Block) -> None:
         """Receives the next block of samples."""
         ...
 
     def result(self) -> Sequence[Any]:
-        """Returns the result of each of the N runs; called after the last block."""
+        """Returns the observer's result for each of the N runs; called after the last block."""
         ...
 
 
 class StoppedError(Exception):
-    """Error that is raised if the runs were stopped before their end."""
+    """Error that is raised if the simulation of runs was stopped before its end."""
 
 
 def drive(
@@ -56,21 +58,22 @@ def drive(
     failures: dict[int, Failure] | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> list[list[Any]]:
-    """Simulates cases in MuJoCo. Cases that can be stepped together form a batch.
+    """Simulates several cases in MuJoCo. Cases that can be simulated together, step by step, form a batch.
 
     Args:
         cases: the N cases to simulate.
         time: equidistant sample times from 0 [s], shape (T,).
         observers: functions that create an observer for a batch, for example the classes in `sim.observers`.
-        threads: largest number of threads; each has at least `FEWEST` runs. 0 means one per core. The results do not depend on
-            the number of threads.
-        streamed: True for blocks of `BLOCK` samples, without storing whole roads; False for a single block.
-        failures: dictionary that receives the failures of Python control laws, by index of the case. These runs continue
-            without forces. If `failures` is None, the first failure is raised as an error.
-        stopped: function that returns True to stop the runs; it is called regularly.
+        threads: largest number of threads, each of which simulates at least `FEWEST` runs. 0 means one thread per core. The
+            results do not depend on the number of threads.
+        streamed: True to pass blocks of `BLOCK` samples to the observers, without storing whole roads; False to pass all
+            samples in a single block.
+        failures: dictionary that receives the failures of Python control laws, by index of the case. Runs with failed laws
+            continue without control forces. If `failures` is None, the first failure is raised as an error.
+        stopped: function that returns True to stop the simulation; called regularly during the runs.
 
     Returns:
-        A list for each observer, which contains the result of this observer for each case.
+        One list per observer, which contains the observer's result for each case.
 
     Raises:
         InputError: a Python control law fails.
@@ -96,7 +99,7 @@ def drive(
 
 
 def _together(cases: Sequence[Case], timestep: float) -> list[list[int]]:
-    """Groups the cases that can be stepped together; returns the indices of the cases in each group."""
+    """Groups the cases that can be simulated together, step by step; returns the indices of the cases in each group."""
     distinct = {id(one.vehicle): one.vehicle for one in cases}
     if len(distinct) == 1:
         return [[*range(len(cases))]]
@@ -112,8 +115,8 @@ def _together(cases: Sequence[Case], timestep: float) -> list[list[int]]:
 def _shares(count: int, threads: int) -> list[slice]:
     """Splits the runs evenly among threads.
 
-    Each thread has its own batch. Separate batches are faster than a single batch on all threads. The threads of a single batch
-    would wait for each other at each step, and for Python code.
+    The runs of each thread form a separate batch. Separate batches are faster than a single batch on all threads. The threads
+    of a single batch would wait for each other at each step, and would also wait for Python code.
     """
     shares = min(threads, count // FEWEST)
     if shares <= 1:
@@ -134,9 +137,9 @@ def _results_of(
 
 
 def _complete_blocks(loop: Loop, batch: Batch, edges: Sequence[int], stopped: Callable[[], bool]) -> Iterator[Block]:
-    """Yields the blocks with road velocities and steady motion added.
+    """Adds road velocities and the signals of steady motion to blocks of samples, and yields the blocks.
 
-    Values of diverged runs that are too large or not finite are replaced by finite values.
+    In diverged runs, values that are too large or not finite are replaced by finite values.
     """
     kind, end = batch.vehicles[0].kind, 0
     names = [signal.name for signal in kind.signals]

@@ -1,4 +1,5 @@
-"""Protocol of drivers, which compute requests from the measurements of N runs. Each driver has a file in `sim.drive.drivers`.
+"""Protocol of drivers, which compute requests to the actuators (such as forces) from the measurements of N runs. Every built-in
+driver has a file in `sim.drive.drivers`.
 
 A driver receives the measurements with noise and quantisation. The requests of a driver pass through the delay of the computer
 (`sim.drive.computer`) and through the actuators (`sim.drive.actuators`).
@@ -19,10 +20,10 @@ Request = Literal["forces", "coefficients", "commands"]
 
 @runtime_checkable
 class Driver(Protocol):
-    """Control law of N runs that are simulated together. N is 1 for a single run.
+    """Control law of N runs that are simulated together. The number of runs N is 1 if a single run is simulated.
 
-    `sim.run` accepts an object with these attributes and methods as a controller. `start` is called before each repetition of a
-    run, so a driver with internal data must reset these data in `start`.
+    `sim.run` accepts any object with the attributes and methods of this protocol as a controller. `start` is called before each
+    repetition of a run, so a driver with internal data must reset these data in `start`.
 
     Example:
         >>> import numpy as np
@@ -42,7 +43,7 @@ class Driver(Protocol):
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """Names of the q measured signals, in their order.
+        """Names of the q measured signals, in the order in which `step` receives them.
 
         The names in `sim.drive.actuators.closing_names` stand for the closing velocities of the suspensions [m/s].
         """
@@ -50,20 +51,23 @@ class Driver(Protocol):
 
     @property
     def ahead(self) -> int:
-        """Number P of road heights that the driver receives for each wheel, including the present height; 0 for no preview."""
+        """Number P of road heights that the driver receives for each wheel, including the present height; 0 if the driver has
+        no preview.
+        """
         ...
 
     @property
     def requests(self) -> str:
         """Meaning of the requests that `step` returns: "forces", "coefficients" or "commands".
 
-        "forces" [N] and damping "coefficients" of all dampers [N s/m] have shape (N, m), and the actuators limit them.
-        "commands" are applied unchanged, see `sim.drive.actuators.Actuators`.
+        "forces" [N] and damping "coefficients" of all dampers [N s/m] have shape (N, m), and are limited by the actuators.
+        "commands" go to the actuators unchanged, see `sim.drive.actuators.Actuators`.
         """
         ...
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
-        """Returns the states before the first sample, shape (N, k). If the driver stores its states itself, k is 0.
+        """Returns the states of the driver before the first sample, shape (N, k). The number of states k is 0 if the driver
+        stores its states itself.
 
         Args:
             vehicles: the N vehicles, all with the same sample period.
@@ -72,12 +76,13 @@ class Driver(Protocol):
         ...
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
-        """Returns the requests of a sample, and the states after this sample.
+        """Returns the driver's requests at a sample, and the driver's states after this sample.
 
         Args:
             k: index of the time step, from 0.
             y: measurements of the q signals in `measured`, shape (N, q).
-            ahead: road heights under the wheels at this and the next samples [m], shape (N, r, P); None if there is no preview.
+            ahead: road heights under the wheels at the present sample and at the next samples [m], shape (N, r, P); None if
+                there is no preview.
             state: states of the driver before this sample, shape (N, k).
         """
         ...
@@ -100,7 +105,7 @@ class RecordedForces(ControlLaw):
 
     @property
     def law_key(self) -> DriverKey:
-        """Key of the driver that repeats these commands; see `ControlLaw`."""
+        """Key in the registry of the driver that repeats recorded commands; see `ControlLaw`."""
         return ("recorded",)
 
 
@@ -109,11 +114,12 @@ RunDriver = AnyController | RecordedForces  # controller of one run, or the reco
 
 @dataclass(frozen=True)
 class Failure:
-    """Failure of the control law of a run.
+    """Description of how the control law of a run failed.
 
     Attributes:
-        why: reason for the failure, as one line of text.
-        together: True if the failed call computed the forces of several runs, so that another run may have caused the failure.
+        why: reason why the control law failed, as one line of text.
+        together: True if the failed call computed the forces of several runs, so that a different run may have caused the
+            failure.
     """
 
     why: str

@@ -1,14 +1,16 @@
-"""Jumps of signals at samples where a held force, or the held coefficient of a semi-active damper, changes.
+"""Jumps of signals at samples where a piecewise-constant force, or the piecewise-constant coefficient of a semi-active damper,
+changes.
 
-Such a jump is called a decision if it is due to a semi-active damper, or to a force that is held for more than one time step.
+A jump is called a decision if a semi-active damper causes it, or a force that is constant for more than one time step.
 Peaks include the values on both sides of decisions and of vertical edges of the road (`Response.before`). Values are never
 interpolated across a decision or an edge. A force that changes at every time step approximates a continuous force. For signals
-that jump with such a force, only the values just after the jumps are used.
+that jump when a force changes at every time step, only the values just after the jumps are used.
 
-The value of a signal at a sample is the value just after the jump, with the new force u[k]. The value just before is smaller by D
-(u[k] - u[k-1]), where D is the feedthrough matrix of (28). For a semi-active damper, the coefficient c is held while the velocity
-v of the suspension changes, so u jumps by -(c[k] - c[k-1]) v. A lagging force does not jump. A motion ratio that changes with
-travel does not jump, but scales v and the effect of u.
+The value of a signal at a sample is the value just after the jump, with the new force u[k]. The signal's value just before the
+jump is smaller by D (u[k] - u[k-1]), where D is the feedthrough matrix of equation (28). The coefficient c of a semi-active
+damper changes only at samples; its force u then jumps by -(c[k] - c[k-1]) v, where v is the suspension velocity. The force of
+an actuator with a lag does not jump. A motion ratio that changes with travel causes no jump, but scales the velocity v and the
+effect of the force u.
 """
 
 from collections.abc import Sequence
@@ -25,9 +27,10 @@ from sim.drive.response import Response
 
 
 def with_decisions(response: Response, vehicles: Sequence[Vehicle]) -> Response:
-    """Returns the response, with the values just before decisions added to `before`.
+    """Returns the response; its attribute `before` then also contains the values just before decisions (see the module
+    docstring).
 
-    Values at vertical edges of the road are kept.
+    Values that `before` already contains for vertical edges of the road are kept.
 
     Args:
         response: response of N runs, or of a single run.
@@ -50,7 +53,7 @@ class Jumps:
     """Computes the jumps of forces and accelerations for N runs of one vehicle type, block by block."""
 
     def __init__(self, vehicles: Sequence[Vehicle], signals: Sequence[str]) -> None:
-        """Prepares the jumps of the given output signals."""
+        """Prepares the computation of the jumps of some output signals."""
         vehicle = vehicles[0]
         index = {signal.name: i for i, signal in enumerate(vehicle.kind.signals)}
         model, forces, outputs = vehicle.linear_model, vehicle.linear_model.inputs, vehicle.linear_model.outputs
@@ -119,7 +122,7 @@ class Jumps:
         return now - last
 
     def _pair(self, place: int, values: Array) -> tuple[Array, Array]:
-        """Returns a signal, and its value at the previous sample, shapes (N, B)."""
+        """Returns the values of a signal at all samples, and the values one sample earlier, each of shape (N, B)."""
         now = values[:, place].T
         last = np.concatenate([self.before.get(place, now[:, :1]), now[:, :-1]], axis=1)
         self.before[place] = now[:, -1:].copy()

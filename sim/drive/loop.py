@@ -1,4 +1,4 @@
-"""Simulation loop of N runs in MuJoCo, which works in blocks of samples: measurements, commands, steps, and recorded signals."""
+"""Simulation loop of N runs in MuJoCo, which computes measurements, commands, steps and recorded signals in blocks of samples."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's Python bindings have no type stubs.
@@ -43,23 +43,25 @@ MOST_HEIGHTS = 5_200_000
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Block of consecutive samples of N runs.
+    """Simulated signals of N runs at consecutive samples (a block).
 
     Attributes:
-        start: index of the first sample.
-        values: all signals except the road velocity, which remains 0, shape (B, S, N). The last axis is the runs.
+        start: index of the first sample in the block.
+        values: values of all signals, shape (B, S, N), except that the road velocity remains 0. The last axis of the array
+            corresponds to the runs.
         qpos: MuJoCo's generalised positions, shape (B, N, nq).
         qvel: MuJoCo's generalised velocities, shape (B, N, nv).
-        largest: largest magnitude of all signals (except missing forces) and of all requested forces without a limit, shape (B,
-            N).
-        overflowed: True if a requested force or a state of the law is not finite, shape (B, N).
+        largest: largest magnitude among all signals (except missing forces) and all requested forces that have no limit, shape
+            (B, N).
+        overflowed: True where a requested force or a state of the control law is not finite, shape (B, N).
         requested_force: commands of the actuators, see `sim.drive.actuators`, shape (B, N, m) or (B, N, 2 m).
-        law_states: states of linear laws at their last sample, shape (B, N, k), where k is the largest number of states.
-        measured: signals at the samples of the controllers, before noise and quantisation, followed by the closing velocities,
-            shape (B, N, s); NaN at other time steps.
-        names: names of the signals and closing velocities in `measured`, in the order of its last axis.
-        others: signals on the other side of each vertical edge of the road, by index of the sample at the edge, shape (S, N)
-            each.
+        law_states: states of linear control laws, each at the law's last sample, shape (B, N, k), where k is the largest number
+            of states.
+        measured: signals at the controllers' samples before noise and quantisation, then the closing velocities, shape (B, N,
+            s); NaN at time steps without a controller sample.
+        names: names of the signals and closing velocities in `measured`, in the order of the last axis of `measured`.
+        others: signals at each vertical edge of the road, on the side that `values` does not contain, by index of the sample,
+            shape (S, N) each.
     """
 
     start: int
@@ -75,7 +77,8 @@ class Block:
     others: Mapping[int, Array] = field(default_factory=dict[int, Array])
 
     def diverged(self, time: Array) -> Array:
-        """Returns the time at which each run first diverged in this block [s], shape (N,), or infinity.
+        """Returns the time at which each run first diverged in this block [s], shape (N,); infinity for a run that did not
+        diverge.
 
         Args:
             time: sample times of the whole run [s], shape (T,).
@@ -85,21 +88,21 @@ class Block:
 
     @property
     def law_diverged(self) -> Array:
-        """True for each run that diverged in this block, and only because of the states of its law, shape (N,).
+        """True for each run that diverged in this block only because the states of its control law overflowed, shape (N,).
 
-        The states of the law overflowed while all physical signals were still within `DIVERGENCE_LIMIT`.
+        The states of the law overflowed while all physical signals of the run were still within `DIVERGENCE_LIMIT`.
         """
         wild, runs = self._beyond_limits, np.arange(self.largest.shape[1])
         return wild.any(axis=0) & (self.largest[wild.argmax(axis=0), runs] < DIVERGENCE_LIMIT)
 
     @property
     def _beyond_limits(self) -> Array:
-        """True at the samples at which a run is beyond its limits, shape (B, N)."""
+        """True at the samples at which signals of a run are not finite or exceed `DIVERGENCE_LIMIT`, shape (B, N)."""
         # the comparison is negated, so that NaN also counts as above the limit
         return ~(self.largest < DIVERGENCE_LIMIT) | self.overflowed
 
     def clip(self, gone: Array) -> None:
-        """Clips the values at some samples in place to at most `DIVERGENCE_LIMIT`, and replaces NaN by 0.
+        """Clips the signal values at some samples in place to magnitudes of at most `DIVERGENCE_LIMIT`, and replaces NaN by 0.
 
         Args:
             gone: True at the samples whose values are clipped, shape (B, N).
@@ -111,7 +114,8 @@ class Block:
 
 
 def runs_at_once(samples: int, wheels: int) -> int:
-    """Returns the number of runs to simulate together: `RUNS_AT_ONCE`, or fewer so that their road heights fit into memory.
+    """Returns the number of runs to simulate together: `RUNS_AT_ONCE`, or fewer if the road heights of so many runs would not
+    fit into memory.
 
     Args:
         samples: number of samples per run.
@@ -123,13 +127,13 @@ def runs_at_once(samples: int, wheels: int) -> int:
 class Loop:
     """Simulation loop, with five tasks per step: measure, compute commands, apply commands, move the road, and step MuJoCo.
 
-    The results of a run are reproducible bit for bit. The results do not depend on the other runs in the batch, the number of
-    threads, or the size of the blocks. For this reason, no matrix product may have an order of summation that depends on the
-    number of runs.
+    The results of a run are reproducible bit for bit. The results of a run do not depend on which other runs the batch
+    contains, on the number of threads, or on the block size. For reproducible results, the order of summation in a matrix
+    product must not depend on the number of runs.
     """
 
     def __init__(self, cases: Sequence[Case], timestep: float) -> None:
-        """Prepares the data that all batches of the given cases share."""
+        """Prepares the data that all batches of the simulated cases share."""
         self.timestep = timestep
         self.model, self.readout = prepared_readout(cases[0].vehicle, timestep)
         distinct = {id(one.vehicle): one.vehicle for one in cases}
@@ -155,7 +159,9 @@ class Loop:
         self.after = 0 if self.fresh else self.stage
 
     def _computers(self, batch: Batch, actuators: Actuators) -> tuple[list[Computer], list[Computer]]:
-        """Returns the started computers of a batch, and the computers of the second controllers, which have no implementation."""
+        """Starts and returns the computers of a batch: those of the controllers, and those of the second controllers, which
+        have no implementation.
+        """
         vehicles, seconds = batch.vehicles, [one.undelayed_controller for one in batch.cases]
         how = [implementation_around(*one) for one in zip(batch.drivers, vehicles, strict=True)]
         first = self._group(batch, batch.drivers, vehicles, how, actuators)
@@ -172,7 +178,9 @@ class Loop:
         how: Sequence[Implementation],
         actuators: Actuators,
     ) -> list[Computer]:
-        """Starts the computers of runs: one for each type of driver and sample period, and none for passive runs."""
+        """Starts the computers of runs: one computer for each combination of driver type and sample period, and no computer for
+        passive runs.
+        """
         timestep, roads = batch.timestep, np.concatenate([batch.now, batch.beyond]) if len(batch.beyond) else batch.now
         groups: dict[tuple[tuple[object, ...], int], list[int]] = {}
         for i, (one, implementation) in enumerate(zip(controllers, how, strict=True)):
@@ -188,7 +196,7 @@ class Loop:
         return computers
 
     def _start(self, case: Case, vehicle: Vehicle) -> State | None:
-        """Returns the state in which a run starts; None for equilibrium."""
+        """Returns the state in which a run starts; None if the run starts in equilibrium."""
         if case.start is not None or not vehicle.start:
             return case.start
         model, readout = self.model, self.readout
@@ -227,12 +235,13 @@ class Loop:
         return np.concatenate([signals, still], axis=-1)
 
     def blocks(self, batch: Batch, edges: Sequence[int], stopped: Callable[[], bool]) -> Iterator[Block]:
-        """Yields the blocks of a batch, or of a part of it, until stopped. Warnings of MuJoCo and numpy are suppressed.
+        """Yields the blocks of samples of a batch, or of some runs of a batch, until `stopped` returns True. Warnings of MuJoCo
+        and numpy are suppressed.
 
         Args:
-            edges: limits of the blocks; block k has the samples from `edges[k]` up to `edges[k + 1]`. The first limit is 0, and
-                the last is at most T.
-            stopped: function that returns True to stop the runs.
+            edges: sample indices at which the blocks begin and end; block k has the samples from `edges[k]` up to `edges[k +
+                1]`. The first index in `edges` is 0, and the last is at most T.
+            stopped: function that returns True to stop the simulation of the runs.
         """
         blocks = self._blocks(batch, edges, stopped)
         with quiet():
@@ -360,7 +369,7 @@ class Loop:
 
 
 class _Signals:
-    """Computes the signals at the samples from MuJoCo's sensors, which are evaluated within or before a step."""
+    """Computes the signals at the samples from MuJoCo's sensors, which MuJoCo evaluates during a step or before it."""
 
     def __init__(self, loop: Loop, vehicles: Sequence[Vehicle], actuators: Actuators) -> None:
         readout, first = loop.readout, vehicles[0]
@@ -381,11 +390,11 @@ class _Signals:
 
         Args:
             sensed: values of MuJoCo's sensors (`sensordata`), shape (B, nsensordata, N).
-            readings: values that the matrix from `_map` multiplies, shape (B, N, w). The last k columns are the states of the
-                parts.
-            level, midway, before: road heights at the samples, held during the step after each sample, and held during the step
-                before it [m], shape (B, N, r).
-            commands: commands that act from each sample on, shape (B, N, size).
+            readings: values that the matrix from `_map` multiplies, shape (B, N, w). The last k columns are the internal states
+                of the suspension parts.
+            level, midway, before: road heights at each sample, during the step after the sample, and during the step before the
+                sample [m], shape (B, N, r).
+            commands: actuator commands that act from each sample on, shape (B, N, size).
             activations: states of MuJoCo's actuators, see `Actuators.record`.
         """
         readout, place, inside = self.readout, self.place, self.inside
@@ -414,23 +423,23 @@ class _Signals:
 
 
 def _is_passive(controller: RunDriver, timestep: float) -> bool:
-    """Returns True for a linear law without measurements, states and preview, whose forces are always 0."""
+    """Returns True for a linear control law without measurements, states and preview, because its forces are always 0."""
     return controller.linear is True and not (
         controller.measured or controller.states or controller.preview_samples(timestep) or controller.code
     )
 
 
 def _acts_without_limit(vehicle: Vehicle) -> list[bool]:
-    """Returns True for each input whose requested force acts without a limit."""
+    """Returns, for each input of the vehicle, True if no limit applies to the requested force."""
     most = vehicle.limits.actuator_force
     return [force not in vehicle.dampers and (most is None or most >= DIVERGENCE_LIMIT) for force in vehicle.linear_model.inputs]
 
 
 def _span(of_sensors: Array) -> slice:
-    """Returns the part of `sensordata` on which signals depend.
+    """Returns the part of MuJoCo's `sensordata` on which signals depend.
 
     Args:
-        of_sensors: rows of the matrix `Readout.of_sensors` for these signals.
+        of_sensors: rows of the matrix `Readout.of_sensors` for the signals to compute.
     """
     used = of_sensors.any(axis=0).nonzero()[0]
     return slice(int(used[0]), int(used[-1]) + 1) if len(used) else slice(0, 0)

@@ -1,8 +1,9 @@
 """MuJoCo steps for vehicles with force elements that MuJoCo itself cannot simulate.
 
-`Batch` does not run Python callbacks, so this module evaluates each stage of RK4 itself. The parts compute their forces from
-the present deflections and velocities of the suspensions. A motor on the tendon of each suspension applies these forces, and
-MuJoCo computes the accelerations. The stages are combined as in `mj_RungeKutta`. MuJoCo computes all other forces.
+`Batch` does not run Python callbacks, so this module evaluates each stage of RK4 itself. The forces of the parts are computed
+from the present deflections and velocities of the suspensions. A motor on the tendon of each suspension applies the part
+forces, and MuJoCo computes the accelerations. The stages of RK4 are combined as in MuJoCo's function `mj_RungeKutta`. MuJoCo
+itself computes all forces except those of the parts.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -33,7 +34,7 @@ NEARBY = 1e-5
 
 
 class PartBatch(Batch):
-    """Batch of N vehicles that have parts on the same suspensions.
+    """Batch of N vehicles that have force elements (parts) at the same suspensions.
 
     Attributes:
         z: internal states of the parts, initially 0, shape (N, k).
@@ -51,8 +52,8 @@ class PartBatch(Batch):
 
         Args:
             tendons: names of the tendons of the s suspensions.
-            pulls: object that computes the forces of the parts, which act on the suspensions whose tendon has a motor in the
-                model.
+            pulls: object that computes the forces of the parts; these forces act at the suspensions whose tendon has a motor in
+                the model.
             count: number N of runs.
             models: MuJoCo model of each run; empty if all runs share `model`.
         """
@@ -93,7 +94,7 @@ class PartBatch(Batch):
             super().forward(ids, stage)
 
     def step(self, ids: Any = None, nstep: int = 1, stage: int = 0) -> None:
-        """Advances all runs by one step; see `Batch.step`."""
+        """Advances all runs by one time step; see `Batch.step`."""
         begin, x, rates = self._begin, self._x, self._rates
         self._start()
         self._there.batch.state[:] = self.state
@@ -118,7 +119,7 @@ class PartBatch(Batch):
         return self._lengths(self._there, self._x)[0]
 
     def _start(self) -> None:
-        """Evaluates the present state, including its sensors."""
+        """Evaluates the present state of all runs, including the sensors."""
         self._begin.motion[:], self._begin.own[:] = self._here.motion, self.z
         self._evaluate(self._here, self._begin, 0)
 
@@ -137,8 +138,9 @@ class PartBatch(Batch):
     def _accelerate(self, bound: "_Bound", b: Array) -> None:
         """Computes the accelerations again, now including the forces of inertial parts.
 
-        The force p = b l'' of an inerter depends on the acceleration l'' of its length. Let a be the value of l'' without
-        inertial parts. The forces p change l'' to a + R p, so p = b (a + R p).
+        The force p = b l'' of an inerter with inertance b depends on l'', the second time derivative of the inerter's length.
+        Let a be the value that l'' would have without inertial parts. The inerter forces p change l'' to a + R p, where R is
+        the response to unit forces; therefore p = b (a + R p).
         """
         controls, qacc = bound.controls, np.array(bound.qacc)
         J, turning = self._lengths.jacobian(bound)
@@ -164,7 +166,9 @@ def _span(indices: Sequence[int]) -> slice | Array:
 
 
 class _State:
-    """State of N runs as one array `all`, shape (N, nq + nv + na + k), and views of its parts."""
+    """State of N runs as one array `all`, shape (N, nq + nv + na + k), with attributes that are views of sections of this
+    array.
+    """
 
     def __init__(self, count: int, ends: Array) -> None:
         """Allocates the array for the state.
@@ -180,7 +184,7 @@ class _State:
 
 
 class _Bound:
-    """Arrays that view the state, the controls and the computed quantities of a batch."""
+    """NumPy views of a MuJoCo batch's state, controls and computed quantities."""
 
     def __init__(self, batch: Batch) -> None:
         model = batch.model
@@ -194,7 +198,7 @@ class _Bound:
 
 
 class _Inputs:
-    """Computes the inputs of N runs that act after MuJoCo has limited controls and forces."""
+    """Computes the actuator inputs of N runs that act after MuJoCo has applied the limits on controls and forces."""
 
     def __init__(self, model: mujoco.MjModel, models: Sequence[mujoco.MjModel]) -> None:
         own = [i for i in range(model.nu) if not model.actuator(i).name.startswith(FITTED_PREFIX)]
@@ -208,7 +212,7 @@ class _Inputs:
         )
 
     def __call__(self, bound: _Bound) -> Array:
-        """Returns the inputs that act within these limits, shape (N, m)."""
+        """Returns the actuator inputs that act within the limits, shape (N, m)."""
         u = bound.controls[:, self._own]
         if self._controls is not None:
             u = np.minimum(np.maximum(u, self._controls[0]), self._controls[1])
@@ -219,17 +223,18 @@ class _Inputs:
 
     @staticmethod
     def _ranges(limited: Array, ranges: Sequence[Array]) -> tuple[Array, Array] | None:
-        """Returns the smallest and the largest allowed inputs, shape (N, m) or (1, m); None if no input is limited."""
+        """Returns the smallest and the largest allowed actuator inputs, shape (N, m) or (1, m); None if no input is limited."""
         low, high = np.where(limited[:, None], ranges, [-np.inf, np.inf]).transpose(2, 0, 1)
         return (low, high) if limited.any() else None
 
 
 class _Lengths:
-    """Computes the lengths of s tendons in N runs, relative to their lengths in equilibrium.
+    """Computes the lengths of s tendons in N runs, relative to the lengths in equilibrium.
 
     Attributes:
-        linear: True if the lengths are linear functions of the positions.
-        steady: True if, in addition, the mass matrix is constant, so that a force always causes the same acceleration.
+        linear: True if the tendon lengths are linear functions of the positions.
+        steady: True if the lengths are linear and the mass matrix is constant, so that a force always causes the same
+            acceleration.
     """
 
     def __init__(self, model: mujoco.MjModel, tendons: Sequence[int], models: Sequence[mujoco.MjModel]) -> None:
@@ -248,7 +253,9 @@ class _Lengths:
             self._constant = self._dense(np.array([data[id(one)].ten_J for one in models]))
 
     def __call__(self, bound: _Bound, x: _State) -> tuple[Array, Array]:
-        """Returns the deflections [m] and velocities [m/s] in the present state x of a batch, shapes (N, s)."""
+        """Returns the suspensions' deflections [m] and velocities [m/s] in the present state x of a batch, each of shape (N,
+        s).
+        """
         if self.linear:
             d, v = np.matvec(self._constant, x.moved)
             return d, v
@@ -256,9 +263,10 @@ class _Lengths:
         return bound.lengths[:, self._tendons] - self._rest, bound.speeds[:, self._tendons]
 
     def jacobian(self, bound: _Bound) -> tuple[Array, Array]:
-        """Returns the Jacobian J of the lengths, shape (N, s, nv) or (1, s, nv), and J' qvel [m/s2], shape (N, s).
+        """Returns the Jacobian J of the tendon lengths, shape (N, s, nv) or (1, s, nv), and J' qvel [m/s2], shape (N, s).
 
-        J is for the state in which the batch was last evaluated. The time derivative J' is a central difference.
+        The Jacobian J belongs to the state in which the batch was last evaluated. The time derivative J' of the Jacobian is
+        computed by a central difference.
         """
         if self.linear:
             return self._constant, np.zeros((len(bound.qacc), len(self._tendons)))
@@ -272,7 +280,7 @@ class _Lengths:
         return J, (speeds[0] - speeds[1]) / (2 * NEARBY)
 
     def _dense(self, levers: Array) -> Array:
-        """Returns the tendons' Jacobian as a dense array, shape (N, s, nv), from MuJoCo's sparse one, shape (N, nJten)."""
+        """Converts MuJoCo's sparse Jacobian of the tendons, shape (N, nJten), to a dense array of shape (N, s, nv)."""
         J = np.zeros((len(levers), len(self._tendons), self._velocities.stop - self._velocities.start))
         J[:, *self._places] = levers[:, self._entries]
         return J

@@ -1,4 +1,4 @@
-"""First-order lag of an actuator, integrated by RK4."""
+"""Response of an actuator's first-order lag to commands, integrated by RK4."""
 
 from typing import Any
 
@@ -11,10 +11,10 @@ WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # weights with which RK4 adds the rates 
 
 
 def lag_commands(commands: Array, z: Array) -> Array:
-    """Returns the lagging values at the samples, integrated by RK4 from 0, shape (T, m).
+    """Returns the outputs of the lags at the samples, integrated by RK4 from the initial value 0, shape (T, m).
 
     Args:
-        commands: commands that are held from each sample to the next, shape (T, m).
+        commands: commands to the lags, constant from each sample to the next, shape (T, m).
         z: product of bandwidth and time step for each lag, shape (m,); 0 for no lag.
     """
     way = way_in_step(z)
@@ -22,10 +22,10 @@ def lag_commands(commands: Array, z: Array) -> Array:
 
 
 def lag_stages(now: Array, z: Array) -> list[Array]:
-    """Returns the lagging values at the four stages of every RK4 step, as four arrays of shape (T - 1, m).
+    """Returns the outputs of the lags at the four stages of every RK4 step, as four arrays of shape (T - 1, m).
 
     Args:
-        now: lagging values at the samples, shape (T, m); without a lag, these values are the commands.
+        now: outputs of the lags at the samples, shape (T, m); without a lag, these outputs equal the commands.
         z: product of bandwidth and time step for each lag, see `lag_commands`.
     """
     way, before, gone = way_in_step(z), now[:-1], np.zeros_like(now[:-1])
@@ -37,7 +37,7 @@ def lag_stages(now: Array, z: Array) -> list[Array]:
 
 
 def way_in_step(z: Any) -> Any:
-    """Returns the fraction of the distance to the command that a lagging value covers in one RK4 step.
+    """Returns the fraction of the distance to the command that the output of a lag covers in one RK4 step.
 
     Args:
         z: product of bandwidth and time step for the lag, any shape.

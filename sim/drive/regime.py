@@ -1,4 +1,6 @@
-"""Ends of the linear regime and their times: lift-off, or a limit of a suspension, actuator, damper or characteristic."""
+"""Events that end the linear regime, and their times: lift-off, or reaching a limit of a suspension, actuator, damper or
+characteristic.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -33,15 +35,16 @@ BLOCK = 200  # samples per block of many runs, so that a block fits into the cac
 
 @dataclass(frozen=True)
 class Threshold:
-    """Limit of a signal that ends the linear regime.
+    """Limit of a signal; the linear regime ends when the signal reaches this limit.
 
     Attributes:
         signal: name of the signal that is limited.
         sign: 1 for an upper limit, -1 for a lower limit, 0 for a limit of the magnitude.
         value: limit of sign * signal, or of the magnitude of the signal [unit of the signal].
-        tyre: names of the hub and road velocities, on which the force of a tyre with damping also depends; None if only the
-            deflection matters.
-        part: part whose force beyond its linearisation is limited [N]; None if the signal is limited.
+        tyre: names of the hub and road velocities, on which the force of a tyre with damping also depends; None if the
+            velocities do not matter.
+        part: part for which the difference [N] between its force and its linearised force is limited; None if the signal itself
+            is limited.
         of_rate: True if the value limits the rate of an actuator's command, see `command_rates`.
     """
 
@@ -57,7 +60,9 @@ class Threshold:
         return reading([self])(lambda name: response[name][..., None])[..., 0]
 
     def towards(self, values: Array) -> Array:
-        """Returns the values with a sign such that the limit is an upper limit; the magnitudes if both sides are limited."""
+        """Returns the limited values, negated if the limit is a lower limit; returns the magnitudes of the values if both signs
+        are limited.
+        """
         return self.sign * values if self.sign else np.abs(values)
 
 
@@ -85,18 +90,19 @@ def reading(limits: Sequence[Threshold]) -> Callable[[Callable[[str], Array]], A
 
 @dataclass(frozen=True)
 class End:
-    """End of the linear regime.
+    """Type of event that ends the linear regime.
 
     Attributes:
-        name: name of this end in tables, maps and JSON output.
-        event: text of the log entry at the time when this end first occurs; empty if the end is not logged.
-        verdict: sentence about this end in a verdict, with the time `when` [s]; empty if the verdict reports this end in
-            another way.
-        color: colour of this end in a map, on a light background.
-        marker: shape and colour of the marker on plots with a dark background. The names of the shapes are those of Rerun. No
-            line in a plot has this colour.
-        thresholds: function that returns the thresholds of a vehicle; an empty list if the vehicle has no such limit.
-        exact: True if the exact sampled response remains valid after this end, because only the linearity ends.
+        name: name of this type of event in tables, maps and JSON output.
+        event: text of the log entry at the time when the event first occurs; empty if the event is not logged.
+        verdict: sentence about the event in a verdict, with the time `when` [s]; empty if the verdict reports the event in a
+            different way.
+        color: colour of the event in a map, on a light background.
+        marker: shape and colour of the event's marker in plots with a dark background. The shapes have the names that Rerun
+            uses. The colour of the marker differs from the colours of all lines in a plot.
+        thresholds: function that returns the limits at which the event occurs in a vehicle; an empty list if the vehicle has no
+            such limit.
+        exact: True if the exact sampled response remains valid after the event, because only the linearity ends.
     """
 
     name: str
@@ -109,7 +115,7 @@ class End:
 
 
 def _flat(vehicle: Vehicle) -> list[Threshold]:
-    """Returns the thresholds of tyre deflections at which tyres are fully compressed."""
+    """Returns the tyre deflections at which tyres are fully compressed, as thresholds."""
     return [Threshold(wheel.tyre_deflection, -1.0, MOST_SQUEEZE) for wheel in vehicle.kind.wheels]
 
 
@@ -123,7 +129,9 @@ def _off_the_road(vehicle: Vehicle) -> list[Threshold]:
 def _either_way(
     names: Callable[[Vehicle], Sequence[str]], limit: Callable[[Vehicle], float | None], of_rate: bool = False
 ) -> Callable[[Vehicle], list[Threshold]]:
-    """Returns a function that gives a vehicle's thresholds for magnitudes of signals, if the vehicle has this limit."""
+    """Returns a function that returns a vehicle's thresholds for the magnitudes of signals, or an empty list if these
+    magnitudes are not limited.
+    """
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         value = limit(vehicle)
@@ -133,7 +141,7 @@ def _either_way(
 
 
 def _of_parts(end: str) -> Callable[[Vehicle], list[Threshold]]:
-    """Returns a function that gives the thresholds at which a vehicle's parts reach a given end of the linear regime."""
+    """Returns a function that returns the thresholds at which a vehicle's parts reach the end `end` of the linear regime."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         found = []
@@ -148,9 +156,10 @@ def _of_parts(end: str) -> Callable[[Vehicle], list[Threshold]]:
 
 
 def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
-    """Returns the largest deviation of characteristics from their linearisations, by parameter.
+    """Returns the largest deviation of each damper or spring characteristic from its linearisation, by name of the parameter.
 
-    A deviation is relative to the largest force of the characteristic. The largest value over all wheels is used.
+    A deviation is relative to the largest force of the characteristic. The result for a parameter is the largest deviation over
+    all wheels.
     """
     shares: dict[str, float] = {}
     for fitted in vehicle.parts.with_curve:
@@ -234,8 +243,9 @@ LAW_DIVERGED = "the states of the control law overflow; from {when} on, the law 
 def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tuple[float, float]:
     """Returns the fraction of the distance to the command that a lagging force covers in a step, and the sample period [s].
 
-    For a predicted response, the fraction is exact. For a simulated response, the fraction is that of an RK4 step. The fraction
-    is 0 if there is no lag. `timestep` is 0 if the response has a single sample.
+    For a predicted response, the fraction follows from the exact solution. For a simulated response, the fraction is the
+    fraction that an RK4 step covers. The fraction of the distance is 0 if the actuator has no lag. `timestep` is 0 if the
+    response has a single sample.
     """
     z = (vehicle.limits.actuator_bandwidth or 0.0) * timestep
     way = float(-np.expm1(-z)) if predicted else way_in_step(z)
@@ -246,13 +256,13 @@ def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tup
 def command_rates(forces: Array, way: Any, interval: Any) -> Array:
     """Returns the rates of commands between samples [N/s], shape (..., T - 1).
 
-    With a lag, a command is computed from the forces at both ends of a step. The last command is therefore unknown, and its
-    rate is NaN.
+    If the actuator has a lag, the command during a step is computed from the forces at both ends of the step. The last command
+    is therefore unknown, and the last rate is NaN.
 
     Args:
         forces: forces at the samples [N], shape (..., T).
-        way: fraction of the distance to its command that a lagging force covers in a step, shape (...); 0 if there is no lag.
-        interval: sample period [s], shape (...).
+        way: fraction of the distance to the command that a lagging force covers in a step, shape (...); 0 if there is no lag.
+        interval: sample period of the controller [s], shape (...).
     """
     way, interval = np.asarray(way)[..., None], np.asarray(interval)[..., None]
     ahead = np.diff(forces, axis=-1, append=np.nan) / np.where(way > 0, way, 1.0)
@@ -262,21 +272,22 @@ def command_rates(forces: Array, way: Any, interval: Any) -> Array:
 class EndDetector:
     """Detector of the first time at which each of N runs reaches each of `REGIME_ENDS`, for whole signals or block by block.
 
-    MuJoCo measures a tyre as a length, which is never below zero. If a road rises past a hub within a step, the measurement
-    shows a long tyre below a hub that has jumped. A tyre therefore also counts as fully compressed if its hub has jumped and
-    the road is above the hub's extrapolated position.
+    MuJoCo measures a tyre as a length, which is never below zero. If the road rises past a hub within a step, MuJoCo measures a
+    long tyre, so that the computed hub position jumps upwards. A tyre therefore also counts as fully compressed if the hub has
+    jumped and the road is above the hub's extrapolated position.
 
-    A tyre with damping loses contact when its total force becomes zero; the equivalent deflection of the tyre shows this
-    (`models/kinds/strut_and_tyre.py`).
+    A tyre with damping loses contact when its total force becomes zero; the equivalent deflection of the tyre then reaches the
+    static deflection (`models/kinds/strut_and_tyre.py`).
 
-    Anti-windup and limits of commands act from the first sample at which the demand on an actuator is clipped. With
-    a lag, this happens before the force reaches its limit. The demand is computed from the forces at both ends of a step, and
-    clipping of the demand counts as saturation. The rates of commands, which are compared with the rate limit, are computed in
-    the same way.
+    Anti-windup and limits on commands act from the first sample at which the requested force of an actuator is clipped. With a
+    lag, the requested force is clipped before the actual force reaches the limit. The requested force is computed from the
+    actual forces at both ends of a step; if it is clipped, the actuator counts as saturated. The rates of commands, which are
+    compared with the rate limit, are also computed from the forces at both ends of a step.
 
     Attributes:
-        times: first time of each end [s], shape (N, E); infinity if the end is not reached.
-        shares: largest value of each limited quantity in a run, relative to its limit, shape (N, E); 0 if there is no limit.
+        times: first time at which each run reaches each of the E ends [s], shape (N, E); infinity if a run does not reach an
+            end.
+        shares: largest value of each limited quantity in a run, relative to the limit, shape (N, E); 0 if there is no limit.
     """
 
     def __init__(
@@ -318,7 +329,7 @@ class EndDetector:
 
     @property
     def first(self) -> Array:
-        """Time of the first end [s], shape (N,)."""
+        """Time at which each run first reaches an end of the linear regime [s], shape (N,)."""
         return self.times.min(axis=1)
 
     def update(self, start: int, values: Array) -> None:
@@ -337,7 +348,9 @@ class EndDetector:
                 self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands), limit)
 
     def _note_rates(self, end: int, start: int, signal: int, values: Array, limit: Array) -> None:
-        """Records the first sample at which the rate of a command reaches its limit; the limits have shape (N,) [N/s]."""
+        """Records the first sample at which the rate of a command reaches the rate limit of its run; the limits have shape (N,)
+        [N/s].
+        """
         before = self.before.get(signal, np.zeros((values.shape[2], 2)))
         forces = np.concatenate([before, values[:, signal].T], axis=1)
         self.before[signal] = forces[:, -2:]
@@ -347,12 +360,13 @@ class EndDetector:
 
     @np.errstate(over="ignore")  # signals of runs that have diverged may overflow
     def _note(self, end: int, start: int, towards: Array, limit: Array, at: float = AT) -> None:
-        """Records the largest value of each run, and the first sample that reaches a limit.
+        """Records the largest value of a limited quantity in each run, and the first sample at which the quantity reaches its
+        limit.
 
         Args:
-            end: index of the end of the linear regime, in the order of `REGIME_ENDS`.
-            start: index of the first sample.
-            towards: values of the limited quantity, with a sign such that the limit is an upper limit, shape (B, N).
+            end: index of the end of the linear regime in `REGIME_ENDS`.
+            start: index of the first sample in `towards`.
+            towards: values of the limited quantity, with such a sign that the limit is an upper limit, shape (B, N).
             limit: value of the limit in each run, shape (N,).
             at: fraction of the limit at which the limit already counts as reached.
         """
@@ -374,7 +388,9 @@ class EndDetector:
         return np.where(self.way, demands, 0.0)
 
     def _risen(self, tyre: int, values: Array) -> Array:
-        """Returns the height of the road above the extrapolated hub if the hub has jumped [m], shape (B, N); otherwise -inf."""
+        """Returns the height of the road above the hub's extrapolated position [m] where the hub has jumped, shape (B, N); -inf
+        elsewhere.
+        """
         road = values[:, self.road[tyre]]
         hub = values[:, tyre] + road
         hubs = np.concatenate([self.hubs[tyre] if tyre in self.hubs else hub[[0, 0]], hub])
@@ -384,7 +400,7 @@ class EndDetector:
 
 
 def _detected(vehicle: Vehicle, response: Response, predicted: bool, anti_windup: bool) -> EndDetector:
-    """Returns a detector that has received all samples of a response. The leading axes of the response are runs."""
+    """Returns a detector that has received all samples of a response. The leading axes of the response correspond to runs."""
     runs = response.values.reshape(-1, *response.values.shape[-2:])
     detector = EndDetector([vehicle] * len(runs), response.time, predicted, [anti_windup] * len(runs))
     detector.update(0, np.moveaxis(runs, 0, 2))
@@ -394,25 +410,26 @@ def _detected(vehicle: Vehicle, response: Response, predicted: bool, anti_windup
 def end_times(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
     """Returns the time at which a simulated response first reaches each of `REGIME_ENDS` [s], shape (..., E), or infinity.
 
-    Leading axes are runs. `anti_windup` is True if the law of these runs has anti-windup.
+    The leading axes of the response correspond to runs. `anti_windup` is True if the control law of the runs has anti-windup.
     """
     return _detected(vehicle, response, False, anti_windup).times.reshape(*response.values.shape[:-2], len(REGIME_ENDS))
 
 
 def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
-    """Returns a response's largest value relative to each limit of `REGIME_ENDS`, shape (..., E); 0 if there is no limit.
+    """Returns the largest value of each quantity that `REGIME_ENDS` limits, relative to its limit, shape (..., E); 0 if there
+    is no limit.
 
     Args:
-        anti_windup: True if clipped demands on the actuators end the linear regime, see `EndDetector`.
+        anti_windup: True if clipping of requested forces ends the linear regime, see `EndDetector`.
     """
     return _detected(vehicle, response, True, anti_windup).shares.reshape(*response.values.shape[:-2], len(REGIME_ENDS))
 
 
 def scaled(vehicle: Vehicle, response: Response, factors: Array, anti_windup: bool = False) -> EndDetector:
-    """Returns a detector that has received all samples of N multiples of a linear response.
+    """Returns a detector that has received all samples of a linear response multiplied by N factors.
 
     Args:
-        factors: factors by which the road height is multiplied, negative for a hole, shape (N,).
+        factors: factors by which the road height is multiplied, negative if the bump becomes a hole, shape (N,).
         anti_windup: True if the control law of the runs has anti-windup.
     """
     detector = EndDetector([vehicle] * len(factors), response.time, True, [anti_windup] * len(factors))
@@ -422,12 +439,12 @@ def scaled(vehicle: Vehicle, response: Response, factors: Array, anti_windup: bo
 
 
 def first_end(times: Array) -> Array:
-    """Returns the index of the earliest of `REGIME_ENDS`, shape (...); -1 if no end is reached.
+    """Returns the index of that member of `REGIME_ENDS` which a run reaches first, shape (...); -1 if no end is reached.
 
     Args:
         times: times of the ends from `end_times` [s], shape (..., E).
 
-    If two ends occur at the same sample, the one that comes first in `REGIME_ENDS` is returned.
+    If two ends occur at the same sample, the end that comes first in `REGIME_ENDS` is returned.
     """
     return np.where(np.isfinite(times).any(axis=-1), times.argmin(axis=-1), -1)
 
@@ -443,5 +460,5 @@ def ended_by(vehicle: Vehicle, response: Response, anti_windup: bool = False) ->
 
 
 def broken_by(response: Response) -> str:
-    """Returns the reason why a run ended early: `DIVERGENCE`, or `LAW_OVERFLOW` if only the states of its law diverged."""
+    """Returns the reason why a run ended early: `DIVERGENCE`, or `LAW_OVERFLOW` if only states of the control law diverged."""
     return LAW_OVERFLOW if response.law_diverged else DIVERGENCE

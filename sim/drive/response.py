@@ -30,15 +30,17 @@ ALONG = {"rad": "m", "rad/s": "m/s", "rad/s2": "m/s2"}
 
 
 def loudest_alike(sizes: Array, units: Sequence[str], still: float = STILL) -> Array:
-    """Returns for each signal the largest size of all signals with the same unit, shape (..., p).
+    """Returns, for each signal, the size of the largest signal with the same unit, shape (..., p).
 
     Symmetry may keep all angles at zero, for example the roll of a half-car in the roll plane over a bump under both tracks.
-    For angles, the size of displacements is then used, as if each angle were a displacement at a distance of 1 m.
+    If all angles are zero, the size of the largest displacement is used for angles; an angle then corresponds to a displacement
+    at 1 m.
 
     Args:
         sizes: size of each of p signals, for example its peak, shape (..., p).
         units: units of the p signals.
-        still: share of the displacements below which angles count as zero: `STILL`, or its square if the sizes are squares.
+        still: ratio of angles to displacements below which angles count as zero: `STILL`, or the square of `STILL` if the sizes
+            are squares.
     """
     largest = {unit: sizes[..., np.array(units) == unit].max(axis=-1) for unit in {*units}}
     for turned, along in ALONG.items():
@@ -55,12 +57,12 @@ class Response(ShownResult):
     Attributes:
         time: sample times [s], shape (T,).
         signals: the S signals, with their units, in the order of the last axis of `values`.
-        values: values of the signals, shape (..., T, S). Leading axes are runs.
+        values: values of the signals, shape (..., T, S). The leading axes correspond to runs.
         before: values just before decisions (`sim.drive.jumps`), and on the other side of vertical edges of the road, by name
-            of the signal, shape (..., T) each. Only signals that jump are included.
+            of the signal, shape (..., T) each. The mapping `before` contains only signals that jump.
 
     Raises:
-        InputError: the shapes of the arrays are inconsistent.
+        InputError: the shapes of the arrays `time`, `signals` and `values` are inconsistent.
     """
 
     time: Array
@@ -88,7 +90,7 @@ class Response(ShownResult):
         return tuple(signal.name for signal in self.signals)
 
     def __getitem__(self, signal: str) -> Array:
-        """Returns a signal over time, shape (..., T).
+        """Returns the values of a signal over time, shape (..., T).
 
         Raises:
             InputError: the signal does not exist; the message lists the signals of the response.
@@ -102,10 +104,10 @@ class Response(ShownResult):
 
     @check_arguments
     def run(self, index: int) -> "Response":
-        """Returns the response of one of several runs.
+        """Returns the response of a single run, selected by index.
 
         Raises:
-            InputError: the run does not exist.
+            InputError: there is no run with this index.
         """
         if self.values.ndim < 3 or not -len(self.values) <= index < len(self.values):
             raise InputError(f"index = {index} selects no run from values of shape {self.values.shape}; index the first axis")
@@ -113,7 +115,7 @@ class Response(ShownResult):
         return Response(self.time, self.signals, self.values[index], before)
 
     def with_signals(self, signals: tuple[Signal, ...], values: Array) -> "Response":
-        """Returns the response with additional signals, values of shape (..., T, k).
+        """Returns the response with k additional signals, whose values have shape (..., T, k).
 
         If there are no additional signals, the response itself is returned.
         """
@@ -122,11 +124,11 @@ class Response(ShownResult):
         return replace(self, signals=(*self.signals, *signals), values=np.concatenate([self.values, values], axis=-1))
 
     def with_sides(self, others: Mapping[int, Array]) -> "Response":
-        """Adds the values on the other side of vertical edges to `before`.
+        """Adds the signal values on the other side of the road's vertical edges to `before`.
 
         Args:
-            others: values of all signals on the other side of each edge, shape (..., S) each, by index of the sample at the
-                edge.
+            others: values of all signals on the other side of each vertical edge, shape (..., S) each, by index of the sample
+                at the edge.
         """
         before = dict(self.before)
         for i, name in enumerate(self.names):
@@ -138,7 +140,7 @@ class Response(ShownResult):
         return replace(self, before=before)
 
     def only(self, names: Sequence[str]) -> "Response":
-        """Returns the response with only some of its signals."""
+        """Returns the response with only the selected signals."""
         columns = [self._column(name) for name in names]
         before = {name: self.before[name] for name in names if name in self.before}
         return Response(self.time, tuple(self.signals[i] for i in columns), self.values[..., columns], before)
@@ -148,7 +150,7 @@ class Response(ShownResult):
         return self.samples(slice(int(np.searchsorted(self.time, time))))
 
     def samples(self, which: slice | Array) -> "Response":
-        """Returns some of the samples, selected by a slice or a mask."""
+        """Returns the response at those samples that a slice or a mask selects."""
         before = {name: values[..., which] for name, values in self.before.items()}
         return Response(self.time[which], self.signals, self.values[..., which, :], before)
 
@@ -160,19 +162,21 @@ class Response(ShownResult):
 
     @property
     def law_diverged(self) -> bool:
-        """True if this is a single simulated run that ended because the states of its law diverged; see `Recording.response`."""
+        """True if the response is that of a single simulated run that ended because states of the control law diverged; see
+        `Recording.response`.
+        """
         return bool(np.isinf(self.values[:, [is_kept(signal) for signal in self.signals]]).any())
 
     def peak(self, signal: str) -> Any:
-        """Returns the largest magnitude of a signal, including both sides of its jumps; NaN if a run ended early.
+        """Returns the largest magnitude of a signal, including the values on both sides of jumps; NaN if a run ended early.
 
-        The result is a float for a single run, and an array of shape (...,) for several runs.
+        For a single run, the result is a float; for several runs, it is an array of shape (...,).
         """
         return plain(self._peaks[..., self._column(signal)])
 
     @cached_property
     def _peaks(self) -> Array:
-        """Peaks of all signals, shape (..., S); cached because `scale` often needs them."""
+        """Peaks of all signals, shape (..., S); these peaks are cached, because `scale` often needs them."""
         peaks = np.maximum(np.abs(self.values.max(axis=-2)), np.abs(self.values.min(axis=-2)))
         for name, values in self.before.items():
             peaks[..., self._column(name)] = np.maximum(peaks[..., self._column(name)], np.abs(values).max(axis=-1))
@@ -180,27 +184,27 @@ class Response(ShownResult):
 
     @cached_property
     def _loudest(self) -> Array:
-        """Largest peak among the signals with the same unit, for each signal, shape (..., S)."""
+        """For each signal, the largest peak of all signals with the same unit, shape (..., S)."""
         return loudest_alike(self._peaks, [signal.unit for signal in self.signals])
 
     def scale(self, signal: str) -> float:
         """Returns the reference value for relative differences of a signal in a single run, usually the signal's peak.
 
-        Symmetry may keep a signal at zero, for example roll over a bump under both tracks. The scale is therefore at least a
-        thousandth of the largest signal with the same unit, see `loudest_alike`.
+        A signal may remain zero because of symmetry, for example the roll angle over a bump under both tracks. The reference
+        value is therefore at least a thousandth of the peak of the largest signal with the same unit, see `loudest_alike`.
         """
         return max(self.peak(signal), SILENT * float(self._loudest[self._column(signal)]))
 
     def rms(self, signal: str) -> Any:
-        """Returns the root mean square of a signal over the whole response, including both sides of its jumps.
+        """Returns the root mean square of a signal over the whole response, including the values on both sides of jumps.
 
-        The result is a float for a single run, and an array of shape (...,) for several runs.
+        For a single run, the result is a float; for several runs, it is an array of shape (...,).
         """
         after = self[signal] ** 2
         return plain(np.sqrt(np.mean((after + self.before[signal] ** 2) / 2 if signal in self.before else after, axis=-1)))
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Converts one run to a DataFrame: a column per signal, the time [s] as index, units in `attrs["units"]`.
+        """Converts one run to a DataFrame with a column per signal, the time [s] as index, and the units in `attrs["units"]`.
 
         Raises:
             InputError: the response contains several runs; select one with `run`.
@@ -214,7 +218,8 @@ class Response(ShownResult):
 
     @check_arguments
     def to_control(self, vehicle: Vehicle) -> "control.TimeResponseData":
-        """Converts one run to python-control's response: the outputs of its vehicle, with the road velocities as inputs.
+        """Converts one run to a time response of python-control, whose outputs are the vehicle's outputs and whose inputs are
+        the road velocities.
 
         Raises:
             InputError: the response contains several runs; select one with `run`.
@@ -240,15 +245,15 @@ class Response(ShownResult):
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # signals of an unstable loop may overflow
 def difference(physics: Response, sampled: Response) -> Response:
-    """Returns the difference from the sampled response over time, relative to its peaks. The verdict uses the largest of these
-    differences.
+    """Returns the difference from the exact sampled response over time, relative to the peaks of the sampled response. The
+    verdict on a run uses the largest difference over time.
 
     Args:
         sampled: exact sampled response, at the same sample times as the simulated response.
 
     Returns:
-        Difference of each signal of the vehicle over time. The road signals are omitted, because they are inputs of both
-        responses.
+        Difference between the simulated and the sampled response over time, for each signal of the vehicle. The road signals
+        are omitted, because the road is the same in both responses.
     """
     outputs = tuple(signal for signal in sampled.signals if not signal.name.startswith("road_"))
     columns: list[Array] = []

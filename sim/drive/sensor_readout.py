@@ -22,13 +22,17 @@ MOST_TRIALS = 60  # largest number of iterations in the search for a given state
 
 
 def hardware(vehicle: Vehicle) -> tuple[object, ...]:
-    """Returns a key that is equal for vehicles with the same MuJoCo model, regardless of their controllers' implementations."""
+    """Returns a key that is equal for vehicles with the same MuJoCo model, even if the implementations of the controllers
+    differ.
+    """
     curves, ratios, dampers = (one.values() for one in (vehicle.curves, vehicle.kind.ratios, vehicle.dampers))
     return (vehicle.kind.name, *vehicle.parameters.values(), *curves, *ratios, vehicle.limits, *dampers)
 
 
 def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
-    """Returns a key that is equal for vehicles with the same geometry and number of elements, which can be stepped together."""
+    """Returns a key that is equal for vehicles that can be simulated in one batch, because geometry and number of elements are
+    the same.
+    """
     model, readout = prepared_readout(vehicle, timestep)
     # A vehicle with a bump stop, an anti-roll bar or a characteristic needs a model that also contains this part.
     actuators = (*model.actuator_gaintype, *model.actuator_biastype, *model.actuator_trnid[:, 0])
@@ -45,26 +49,29 @@ def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
 class Readout:
     """Matrices that map MuJoCo's state and sensors to signals.
 
-    A signal is the value of its sensor along the sensor's `user` direction, minus the value in equilibrium.
+    The value of a signal is the sensor's value along the sensor's `user` direction, minus this value in equilibrium.
 
     Attributes:
-        names: names of the S signals. The last k signals are the states of the vehicle's parts.
-        stage: mjtStage to which MuJoCo must be evaluated for the sensor of each signal, shape (S,).
-        linear: True for signals that are linear in (qpos, qvel), shape (S,). Linear signals are computed from the state before
-            a step. Evaluating the sensors of these signals would take a seventh of the time of a step.
-        of_state: matrix that maps (qpos, qvel) to linear signals, shape (S, nq + nv).
+        names: names of the S signals. The last k signals are the internal states of the vehicle's suspension parts.
+        stage: computation stage (`mjtStage`) that MuJoCo must reach to evaluate the sensor of each signal, shape (S,).
+        linear: True for signals that are linear in (qpos, qvel), shape (S,). Signals that are linear in (qpos, qvel) are
+            computed from the state before a step. Evaluating the sensors of the linear signals instead would take a seventh of
+            the time that a step takes.
+        of_state: matrix that maps (qpos, qvel) to the linear signals, shape (S, nq + nv).
         of_sensors: matrix that maps MuJoCo's `sensordata` to signals, shape (S, nsensordata).
-        of_parts: matrix that maps the states of parts to signals, shape (S, k).
-        of_road: derivatives of the signals with respect to the road heights, in which signals are linear, shape (S, r).
-        rest: values of `of_sensors` in equilibrium, shape (S,).
-        has_road_feedthrough: True if an acceleration depends directly on the road. The value that MuJoCo computes within the
-            step, for the road at mid-step, is then not sufficient.
-        mocap: index of the mocap body that is the road under each wheel.
-        stretching_rates: matrix that maps qvel in equilibrium to the extension rate of the actuator of each input, shape (m,
-            nv).
-        lagging: index of each input's activation in the model, shape (m,); -1 if it has no activation.
-        load_dofs: degree of freedom on which each load acts.
-        damped_tyres: wheels whose tyres have damping, each with the actuator that applies the damping force.
+        of_parts: matrix that maps the internal states of parts to signals, shape (S, k).
+        of_road: derivatives of the signals with respect to the road heights, shape (S, r); the signals are linear in these
+            heights.
+        rest: product of `of_sensors` and MuJoCo's `sensordata` in equilibrium, shape (S,).
+        has_road_feedthrough: True if an acceleration depends directly on the road height. An acceleration that depends on the
+            road height has a different value during a MuJoCo step (road at mid-step) than at the sample.
+        mocap: index of the mocap body that represents the road under each wheel.
+        stretching_rates: matrix that maps qvel to the extension rate of each input's actuator, for the geometry in equilibrium,
+            shape (m, nv).
+        lagging: index of each input's activation in MuJoCo's model, shape (m,); -1 for an input without activation.
+        load_dofs: index of the degree of freedom on which each external load acts.
+        damped_tyres: indices of the wheels whose tyres have damping, and indices of the actuators that apply the damping
+            forces.
     """
 
     names: tuple[str, ...]
@@ -85,7 +92,8 @@ class Readout:
 
 @functools.lru_cache(maxsize=16)
 def prepared_readout(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout]:
-    """Returns the model and the readout of a vehicle. Both are cached, because a search simulates one vehicle hundreds of times.
+    """Returns the MuJoCo model of a vehicle, and its `Readout`. Model and `Readout` are cached, because a search simulates the
+    same vehicle hundreds of times.
 
     `Batch` copies the model.
     """
@@ -94,10 +102,11 @@ def prepared_readout(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel,
 
 
 def state_at_start(vehicle: Vehicle, model: mujoco.MjModel, readout: Readout) -> Array | None:
-    """Returns positions, velocities, states of parts and activations at the start of a run; None for equilibrium.
+    """Returns positions, velocities, states of parts and activations at the start of a run; None if the run starts in
+    equilibrium.
 
     Raises:
-        InputError: no position of the vehicle has these deflections.
+        InputError: no position of the vehicle has the requested initial deflections.
     """
     if (state := vehicle.start_state) is None:
         return None
@@ -115,7 +124,7 @@ def state_at_start(vehicle: Vehicle, model: mujoco.MjModel, readout: Readout) ->
 
 
 def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequence[mujoco.MjModel] = ()) -> Batch:
-    """Returns a batch of N runs on one thread, with separate models if several are given."""
+    """Returns a MuJoCo batch of N runs on one thread; each run has a separate model if several models are given."""
     if any(one.acts and not one.native for one in vehicles[0].parts):
         from models.vehicle.suspension_forces import SuspensionForces
 
@@ -195,7 +204,7 @@ def states_of_parts(batch: Batch) -> Array:
 
 
 def sensed_stage(readout: Readout, used: Array) -> int:
-    """Returns the mjtStage to which sensors must be evaluated before a step.
+    """Returns the computation stage (`mjtStage`) up to which MuJoCo must evaluate sensors before a step.
 
     Args:
         readout: matrices that map MuJoCo's state and sensors to signals.
@@ -205,14 +214,14 @@ def sensed_stage(readout: Readout, used: Array) -> int:
 
 
 def beside_reading(road: Array, readout: Readout, some: Sequence[int], linear: bool) -> Array:
-    """Returns the contributions of the road heights and of the equilibrium values to signals, shape (T, N, s).
+    """Returns the contribution of road heights and equilibrium values to each signal, shape (T, N, s).
 
     Args:
-        road: road heights whose contribution is not yet included [m], shape (T, N, r).
+        road: road heights whose contribution the signals do not contain yet [m], shape (T, N, r).
         readout: matrices that map MuJoCo's state and sensors to signals.
-        some: indices of the s signals.
-        linear: True for the signals computed from the state, False for those computed from sensors. The result is 0 for all
-            other signals.
+        some: indices of the s signals to which the contributions belong.
+        linear: True for signals that are computed from the state, False for signals that are computed from sensors. The
+            contribution is 0 for signals of the other kind.
     """
     beside = np.zeros((*road.shape[:2], len(some)))
     for i, s in enumerate(some):
@@ -228,8 +237,8 @@ def mix(matrix: Array, parts: Array, total: Array) -> None:
 
     Args:
         matrix: weights of the k terms in each sum, shape (S, k).
-        parts: terms of the sums, shape (B, k, N).
-        total: sums to which the products are added, shape (B, S, N), changed in place.
+        parts: terms that are weighted and added, shape (B, k, N).
+        total: array to which the weighted terms are added in place, shape (B, S, N).
     """
     for i, j in np.argwhere(matrix).tolist():
         total[:, i] += parts[:, j] if matrix[i, j] == 1 else matrix[i, j] * parts[:, j]

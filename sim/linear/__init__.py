@@ -1,4 +1,4 @@
-"""Exact linear responses of the simulated loops in time and frequency domain, computed without MuJoCo.
+"""Exact linear responses of the simulated loops in the time domain and the frequency domain, computed without MuJoCo.
 
 Start with `prediction.py`.
 """

@@ -13,12 +13,12 @@ MOST_SQUARED = 1e150  # N; forces are clipped to this magnitude, so that their s
 
 
 def stretching_rates(vehicle: Vehicle) -> Array:
-    """Returns the matrix V from the state to the extension rate of each semi-active damper, shape (m, n).
+    """Returns the matrix V that maps the state to the extension rate of each semi-active damper, shape (m, n).
 
-    Rows of active actuators are zero.
+    Rows of V that belong to active actuators are zero.
 
     Raises:
-        ValueError: a suspension's deflection is not a state of the linear model, or jumps with the road.
+        ValueError: a suspension's deflection is not a state of the linear model, or jumps when the road height jumps.
     """
     model, rows = vehicle.linear_model, []
     for force in model.inputs:
@@ -35,7 +35,7 @@ def stretching_rates(vehicle: Vehicle) -> Array:
 def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
     """Returns the closing velocity of each damper at the samples [m/s], shape (T, m + c); the value is 1 for active actuators.
 
-    The last c columns are travels and states of voltage-controlled elements, see `CoefficientRange.closing`.
+    The last c columns contain travels and states of voltage-controlled elements, see `CoefficientRange.closing`.
     """
     of = range_of([vehicle])
     states = np.stack([physics[name] for name in vehicle.linear_model.states], axis=-1)
@@ -48,7 +48,7 @@ def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str,
     """Returns the signals of the semi-active dampers by name.
 
     Args:
-        beyond: damping coefficients minus the nominal ones [N s/m], shape (T, m).
+        beyond: damping coefficients minus the nominal coefficients [N s/m], shape (T, m).
         missing: requested forces minus actual forces [N], shape (T, m).
     """
     signals, forces = {}, vehicle.linear_model.inputs
@@ -61,8 +61,8 @@ def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str,
 def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, Array]:
     """Returns the damper signals for a linear response in which all requested forces act.
 
-    The returned coefficients would produce these forces. The returned missing forces are the part that a real damper could not
-    supply, because its range is limited.
+    The returned damping coefficients would produce the requested forces. The returned missing forces are the parts of the
+    requested forces that a real damper could not supply, because its range is limited.
 
     Args:
         states: states of the vehicle at the samples, shape (T, n).
@@ -79,8 +79,8 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
 def commands_of(vehicle: Vehicle, physics: Response) -> Array:
     """Returns the commands of the actuators in a simulated run, shape (T, 2 m); 0 after the run diverged.
 
-    See `CoefficientRange.commands`. The command of a lagging coefficient is computed from the change of the coefficient in a
-    step: RK4 covers a known fraction of the distance to the command.
+    See `CoefficientRange.commands`. The command of a lagging coefficient is computed from the coefficient's change in a step,
+    because RK4 covers a known fraction of the distance to the command.
     """
     forces, h = vehicle.linear_model.inputs, float(physics.time[1] - physics.time[0])
     m = len(forces)
@@ -97,7 +97,7 @@ def commands_of(vehicle: Vehicle, physics: Response) -> Array:
 
 
 def squarable(forces: Array) -> Array:
-    """Returns requested forces [N], clipped so that their squares are finite.
+    """Returns requested forces [N], clipped to a magnitude whose square is finite.
 
     The forces of unstable laws may be too large to be squared.
     """

@@ -1,7 +1,8 @@
-"""Exact linear response to known forces, for controllers to which linear analysis does not apply.
+"""Exact linear response of a vehicle to known control forces, for controllers to which linear analysis does not apply.
 
-With nonlinear characteristics, the response is computed by RK4. The equations are those of `sim.linear.sampled_response`. The
-forces u[k] are known and held from one sample to the next, and no loop is closed:
+With nonlinear characteristics, the response is computed by RK4. The equations of motion are those in
+`sim.linear.sampled_response`. The forces u[k] are known and constant from one sample to the next, so the equations contain no
+feedback:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k).
 """
@@ -22,13 +23,14 @@ from synth.plant.loop import HoldInterval, Loop, respond
 
 
 def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
-    """Returns the response, from equilibrium, to known forces and to the road, both held over each step as in MuJoCo.
+    """Returns the response, from equilibrium, to known forces and to the road; both are constant during each step, as in
+    MuJoCo.
 
     Args:
         forces: requested forces at every sample [N], shape (T, m).
-        road: road to drive over, with the vehicle that drives over it.
-        exponential: function for the matrix exponential. `taylor4` predicts RK4 up to rounding. With characteristics, the
-            response is always computed by RK4.
+        road: road input, which also contains the vehicle that drives over the road.
+        exponential: function that computes the matrix exponential. With `taylor4`, the result is that of RK4 up to rounding
+            errors. If dampers or springs have characteristics, the response is always computed by RK4.
     """
     vehicle, h, model = road.vehicle, road.timestep, road.vehicle.linear_model
     if vehicle.parts.nonlinear:
@@ -44,7 +46,9 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
 
 
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
-    """Returns the response from equilibrium to held forces and a continuous road. Arguments as for `forced_response`."""
+    """Returns the response, from equilibrium, to forces that are constant during each step and to a road that changes
+    continuously. The arguments are those of `forced_response`.
+    """
     plant, model = plant_of(road.vehicle), road.vehicle.linear_model
     Phi, Gamma = plant.part((), model.inputs).hold_matrices(road.timestep)
     start = None if (moved := road.vehicle.start_state) is None else np.pad(moved, (0, len(Phi) - len(moved)))

@@ -1,19 +1,23 @@
-"""Exact frequency responses from the road velocity, for the sampled loop that MuJoCo simulates and for the continuous loop.
+"""Exact frequency responses to the road velocity, of the sampled loop that MuJoCo simulates and of the continuous loop.
 
-A road z_r(t) = Z exp(j omega t) under the wheels has the velocity W = j omega Z. All responses are relative to W. In continuous
-time, Z and W act on the loop of `synth/controller/loop_of.py`.
+A road z_r(t) = Z exp(j omega t) under the wheels has the velocity W = j omega Z. All frequency responses are relative to the
+road velocity W. In continuous time, the road height Z and the road velocity W are inputs of the loop that
+`synth/controller/loop_of.py` defines.
 
-In the sampled loop, the road is Z exp(j omega t_k) at the samples. Over each step, the road is held at the height at mid-step,
-which is exp(j omega h/2) times the height at the sample. If tyres have damping, the mean road velocity over the step is also
-held. The control force is also held over each step. At the samples, the response to a sinusoid is then exactly a sinusoid. If
-the sample period of the controller is several steps, the response also contains other frequencies. The frequency response then
-contains only the component at omega, computed over all steps of a period.
+In the sampled loop, the road height at sample time t_k is Z exp(j omega t_k). During each step of length h, the road stays at
+its mid-step height, which is exp(j omega h/2) times the height at the sample. If tyres have damping, the road velocity is also
+constant during each step, at its mean over the step. The control force is also constant during each step. At the samples, the
+response to a sinusoid is then exactly a sinusoid. If the sample period of the controller is several steps, the response also
+contains frequencies other than omega. The computed frequency response contains only the component at omega, which is computed
+from all steps of a sample period.
 
-Preview adds to the requested forces the sum of the weights times exp(j omega i T) over the coming samples i, at intervals T. In
-continuous time, preview adds the integral of F(s) exp(j omega s) over the preview time s.
+Preview adds to the requested forces a sum over the coming samples i, at intervals T: the preview weights times exp(j omega i
+T). In continuous time, preview adds the integral of F(s) exp(j omega s) over the preview time s, where F(s) are the preview
+weights.
 
-A suspension force F exp(j omega t) may act in addition. Like the road, this force is held over each step at its mid-step value.
-No state jumps with this force. The responses to this force, per newton, are appended to the responses to the road.
+A suspension force F exp(j omega t) may act in addition to the road. Like the road, the suspension force is constant during each
+step, at its mid-step value. A jump of the suspension force causes no jump of a state. The responses to the suspension force,
+per newton, are appended to the responses to the road.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,7 +42,7 @@ PULL = "pull_"  # prefix for the names of inputs that are suspension forces
 def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array) -> Array:
     """Returns the frequency response of the continuous loop from each wheel's road velocity to each output.
 
-    The frequency response is complex, with shape (F, p, r).
+    The result is a complex array of shape (F, p, r).
 
 
     Args:
@@ -63,9 +67,9 @@ def sampled_frequency_response(
         vehicle: vehicle with p outputs and r wheels.
         omega: angular frequencies above 0 and below pi / timestep [rad/s], shape (F,).
         timestep: time step h [s].
-        exponential: function for the matrix exponential; `taylor4` predicts RK4.
-        pulls: names of e deflections along which additional forces act. If names are given, the responses to these forces, per
-            newton, are appended, and the shape is (F, p, r + e).
+        exponential: function that computes the matrix exponential; with `taylor4`, the result is that of RK4.
+        pulls: names of the e suspension deflections along which additional forces act. The responses to the additional forces,
+            per newton, are appended to the responses to the road; the shape is then (F, p, r + e).
     """
     loop, drive = driven_loop(vehicle, controller, omega, timestep, exponential, pulls)
     return frequency_response(loop, vehicle.linear_model.outputs, drive, np.asarray(omega, dtype=float))
@@ -76,15 +80,16 @@ def stepwise_frequency_response(
 ) -> tuple[Array, Array]:
     """Returns the response from the road velocities to the outputs at every time step of a controller's sample period.
 
-    The values at step i are exact for a road exp(j omega t) with t from the start of the period. Between samples, a held force
-    adds other frequencies. `sampled_frequency_response` contains only the component at omega.
+    The responses at step i are exact for a road exp(j omega t), where the time t begins at the start of the sample period.
+    Between samples, a constant force causes components at frequencies other than omega. `sampled_frequency_response` contains
+    only the component at omega.
 
-    Arguments as for `sampled_frequency_response`.
+    The arguments are those of `sampled_frequency_response`.
 
     Returns:
-        Complex responses at every time step, shape (steps + 1, F, p, r + e). The last value is the value at the start of the
-        next period. The second array contains the jumps of the outputs when the next held force begins, shape (steps, F, p, r +
-        e). Outputs behind a lag do not jump.
+        Complex responses at every time step, shape (steps + 1, F, p, r + e). The last entry is the response at the start of the
+        next sample period. The second array contains the jumps of the outputs at the instants when the force changes, shape
+        (steps, F, p, r + e). Outputs on which the force acts only through a lag do not jump.
     """
     loop, drive = driven_loop(vehicle, controller, omega, timestep, linalg.expm, pulls)
     return stepwise_response(loop, vehicle.linear_model.outputs, drive, np.asarray(omega, dtype=float))
@@ -98,11 +103,11 @@ def driven_loop(
     exponential: Callable[[Array], Array] = linalg.expm,
     pulls: Sequence[str] = (),
 ) -> tuple[Loop, dict[str, Array]]:
-    """Returns the sampled loop and its inputs for road velocities exp(j omega t) and for suspension forces.
+    """Returns the sampled loop, and the loop's inputs for road velocities exp(j omega t) and for suspension forces.
 
-    The inputs are given by name, with shape (F, r + e) each.
+    The inputs are a mapping from names to arrays of shape (F, r + e).
 
-    Arguments as for `sampled_frequency_response`.
+    The arguments are those of `sampled_frequency_response`.
     """
     loop, model, h = loop_of(vehicle, controller, timestep, exponential), vehicle.linear_model, timestep
     s, roads, count = 1j * np.asarray(omega, dtype=float)[:, None], model.disturbances, len(pulls)
@@ -135,11 +140,11 @@ def driven_loop(
 class WorstSinusoid:
     """The sinusoidal road with the largest L2 gain from the road to the weighted output z.
 
-    The gain is relative to the road height or, if the road has a filter, to the filter's input w.
+    The gain is relative to the road velocity or, if the road has a filter, to the filter's input w.
 
     Attributes:
-        gain: ||z|| / ||w||. With one wheel, this is the H-infinity norm. With several wheels, the gain is a lower bound on the
-            norm, because all wheels follow the same road.
+        gain: ||z|| / ||w||. For a vehicle with one wheel, the largest gain is the H-infinity norm. For a vehicle with several
+            wheels, the gain is a lower bound on the norm, because all wheels follow the same road.
         omega: angular frequency of the sinusoid [rad/s].
     """
 
@@ -148,10 +153,11 @@ class WorstSinusoid:
 
 
 def sinusoid_gains(vehicle: Vehicle, response: Array, omega: Array, speed: float) -> Array:
-    """Returns the gains from sinusoidal roads under the wheels to the performance output z, shape (F,).
+    """Returns the gain from a sinusoidal road under the wheels to the performance output z at each frequency, shape (F,).
 
     Args:
-        response: frequency response of p outputs to r wheels at these frequencies, complex, shape (F, p, r).
+        response: frequency response of p outputs to the road under r wheels at the frequencies `omega`, complex, shape (F, p,
+            r).
         omega: angular frequencies [rad/s], shape (F,).
         speed: forward speed [m/s].
     """
@@ -163,15 +169,14 @@ def sinusoid_gains(vehicle: Vehicle, response: Array, omega: Array, speed: float
 
 
 def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest: float, speed: float) -> WorstSinusoid:
-    """Returns the largest gain from the road under the wheels to z, and the frequency of this gain.
+    """Returns the largest gain from the road under the wheels to the performance output z, and the frequency of this gain.
 
-    By Parseval's theorem, this gain is the largest L2 gain for all roads whose frequencies are below `highest`. With one wheel,
-    this gain is the H-infinity norm.
+    By Parseval's theorem, the returned gain is the largest L2 gain for all roads whose frequencies are below `highest`. For a
+    vehicle with one wheel, the returned gain is the H-infinity norm.
 
     Args:
-        response: function of angular frequencies [rad/s], shape (F,), that returns the frequency response at these frequencies,
-            shape (F, p, r).
-        highest: upper end of the search [rad/s]: the Nyquist frequency pi / h.
+        response: function that returns the frequency response, shape (F, p, r), at angular frequencies [rad/s], shape (F,).
+        highest: highest frequency of the search [rad/s]: the Nyquist frequency pi / h, where h is the time step.
         speed: forward speed [m/s].
     """
 

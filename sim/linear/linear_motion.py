@@ -20,19 +20,21 @@ Effects = Callable[[Sequence[str]], tuple[Array, Array]]
 
 
 def suspensions_of(vehicle: Vehicle, model: LinearModel, effects: Effects, acts: Array) -> tuple[Array, Array, Array, Array]:
-    """Returns the maps from states and road heights to suspension motions, and from suspension forces to states and outputs.
+    """Returns the gains from states and road heights to suspension motions, and from suspension forces to state derivatives and
+    outputs.
 
-    Rows and columns of suspensions without nonlinear forces are 0.
+    Rows and columns that belong to suspensions without nonlinear forces are 0.
 
     Args:
-        model: linear model of the vehicle, or its model at the wheels, which does not contain the states of parts.
-        effects: function that returns how suspension forces act on this model, see `Vehicle.force_effects`.
+        model: linear model of the vehicle, or its `wheel_model`, which does not contain the states of parts.
+        effects: function that returns the effects of suspension forces on the states and outputs of this model, see
+            `Vehicle.force_effects`.
         acts: True for each suspension that has forces outside the linear model.
 
     Returns:
-        The first two arrays are the gains from states, shape (2 s, n), and from road heights, shape (2 s, r), to the s
-        deflections followed by their s rates. The last two arrays are the gains from the contracting suspension forces to state
-        rates and to outputs, shapes (n, s) and (p, s).
+        The first two arrays are the gains from states, shape (2 s, n), and from road heights, shape (2 s, r), to s deflections
+        and their s rates. The last two arrays are the gains from suspension forces (positive if contracting) to state
+        derivatives, shape (n, s), and to outputs, shape (p, s).
 
     Raises:
         ValueError: the model does not define the effect of a force along a suspension.
@@ -63,7 +65,7 @@ class LinearMotion:
 
         Raises:
             ValueError: the deflection of a suspension with nonlinear forces is not a state of the linear model, or the effect
-                of its force is unknown.
+                of these forces is unknown.
         """
         self.model = wheel_model(vehicle.kind, vehicle.parameters)
         self.names = self.model.states
@@ -100,7 +102,7 @@ class LinearMotion:
 
 
 def lag_rates(vehicle: Vehicle) -> Array:
-    """Returns the bandwidth of every actuator [rad/s], shape (m,); 0 for an actuator without lag."""
+    """Returns the bandwidth of each actuator's lag [rad/s], shape (m,); 0 for an actuator without lag."""
     inputs = vehicle.linear_model.inputs
     rates = np.full(len(inputs), vehicle.limits.actuator_bandwidth or 0.0)
     for one in vehicle.parts.adjustable:

@@ -24,13 +24,14 @@ def response_of(
     beyond: Array | float,
     beside: Mapping[str, Array] | None = None,
 ) -> Response:
-    """Returns all signals of the vehicle from the states and inputs of its model over time.
+    """Computes the response with all signals of a vehicle from the states and inputs of its model over time.
 
     Args:
-        model: model of the vehicle, or a larger model that begins with its states and inputs.
-        states, inputs: states and inputs at the samples, shapes (T, n) and (T, m).
+        model: model of the vehicle, or a larger model whose first states and inputs are those of the vehicle.
+        states, inputs: states and inputs of the model at the samples, shapes (T, n) and (T, m).
         beyond: contribution of characteristics and loads to the outputs, shape (T, p); 0 without characteristics and loads.
-        beside: additional signals by name, each of shape (T,). If None, the function adds the damper signals for these inputs.
+        beside: additional signals by name, each of shape (T,). If `beside` is None, the function computes and adds the damper
+            signals that belong to `inputs`.
     """
     outputs = states @ model.C.T + inputs @ model.D.T + road.heights @ model.Cr.T + beyond
     return response_by_name(road, (*model.outputs, *with_ending(model.inputs, HELD)), np.hstack([outputs, inputs]), beside)
@@ -39,11 +40,11 @@ def response_of(
 def response_by_name(
     road: RoadInput, names: Sequence[str], outputs: Array, beside: Mapping[str, Array] | None = None
 ) -> Response:
-    """Returns all signals of the vehicle from the outputs of its loop, shape (T, p).
+    """Computes the response with all signals of a vehicle from the outputs of its loop, shape (T, p).
 
     Args:
-        names: names of the outputs, as in `loop_of`: the output signals of the vehicle, and the forces that its actuators
-            receive.
+        names: names of the loop's outputs, as in `loop_of`: the output signals of the vehicle, and the forces that its
+            actuators receive.
         beside: additional signals, see `response_of`.
     """
     vehicle, steady, place = road.vehicle, road.steady_signals(road.time), {name: i for i, name in enumerate(names)}
@@ -61,13 +62,13 @@ def response_by_name(
 
 
 def with_linear_sides(response: Response, road: RoadInput, held: bool, of_heights: Array | None = None) -> Response:
-    """Adds the values on the other side of each vertical edge of the road to a linear response.
+    """Adds, to a linear response, the signal values on the other side of each vertical edge of the road.
 
     Args:
         response: linear response of a single run over the road.
-        held: value that is passed as `held` to `RoadInput.vertical_edges`.
-        of_heights: jump of each output for a road height that jumps by 1 m under each wheel, shape (p, r); None if no force
-            jumps.
+        held: value for the argument `held` of `RoadInput.vertical_edges`.
+        of_heights: jump of each of p outputs if the road height under one of r wheels jumps by 1 m, shape (p, r); None if no
+            force jumps.
     """
     if not road.road.jumps:
         return response
@@ -82,7 +83,7 @@ def with_linear_sides(response: Response, road: RoadInput, held: bool, of_height
 
 
 def forces_ahead(preview: "RoadPreview", road: RoadInput, steps: int) -> Array:
-    """Returns the preview forces that a computer requests [N], shape (T, m), each held for `steps` time steps."""
+    """Returns the preview forces that a computer requests [N], shape (T, m), each constant for `steps` time steps."""
     h = road.timestep
     heights = np.concatenate([road.heights, road.ahead((preview.samples(steps * h) - 1) * steps)])
     return preview.forces(heights, steps, h, len(road.time))

@@ -1,7 +1,7 @@
 """Linear responses of one vehicle, controller and road, to compare with a MuJoCo run.
 
-The responses are linear except for the characteristics of dampers and springs, which `sampled` and `integrated` include. Norms,
-margins and designs use the linearisation at equilibrium; `linearised` is the response of this linearisation.
+The responses are linear, but `sampled` and `integrated` also include the nonlinear characteristics of dampers and springs.
+Norms, margins and designs refer to the vehicle linearised at equilibrium; `linearised` is the response of this vehicle.
 """
 
 import math
@@ -27,18 +27,19 @@ LINEAR, NONLINEAR = "linear analysis", "the nonlinear response with the characte
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Linear responses of one run from equilibrium. Each response is computed when it is first needed.
+    """Linear responses of one run that starts in equilibrium. Each linear response is computed when it is first needed.
 
-    Linear analysis does not cover a Python control law. For such a law, the responses are computed from the forces that the law
-    requested in the run. A run whose controller sets semi-active dampers is not linear and has no sampled response. For a linear
-    law, the continuous response then assumes that the dampers supply all requested forces.
+    Linear analysis does not cover a Python control law. For a Python control law, the responses are computed from the forces
+    that the law requested in the run. A run whose controller sets semi-active dampers is not linear and has no sampled
+    response. If a linear law sets semi-active dampers, the continuous response assumes that the dampers supply all requested
+    forces.
 
     Attributes:
-        input: vehicle with the limits and the implementation of this run, and its road.
-        controller: controller whose law closes the loop.
-        requested_force: commands of a Python control law, see `sim.drive.actuators`, shape (T, m) or (T, 2 m); empty for other
-            controllers.
-        replayed: True if the commands of a Python control law come from a log, so that the law is not run.
+        input: road of the run, and the vehicle with the limits and the implementation that hold in this run.
+        controller: controller whose control law closes the feedback loop.
+        requested_force: commands of a Python control law, see `sim.drive.actuators`, shape (T, m) or (T, 2 m); empty for a
+            linear controller.
+        replayed: True if the commands of a Python control law come from a log, so that the law itself is not executed.
         most_states: largest number of states, including delayed forces, of a loop for which eigenvalues are computed.
     """
 
@@ -52,8 +53,8 @@ class Prediction:
     def sampled(self) -> Response:
         """Response of the sampled loop.
 
-        The response is exact if the loop is linear. With characteristics, the response is computed by RK4. If a law sets
-        semi-active dampers, the loop is not linear, and all values are NaN.
+        The response of a linear loop is exact. If dampers or springs have characteristics, the response is computed by RK4. If
+        a law sets semi-active dampers, the loop is not linear, and all values are NaN.
         """
         return self._sampled[0]
 
@@ -80,9 +81,10 @@ class Prediction:
 
     @cached_property
     def radius(self) -> float:
-        """Spectral radius of the sampled loop per time step. If it is above 1, the loop is unstable.
+        """Spectral radius of the matrix that maps the sampled loop's state from one time step to the next. If the spectral
+        radius is above 1, the loop is unstable.
 
-        The value is NaN if the loop is too large or not linear.
+        The spectral radius is NaN if the loop has too many states or is not linear.
         """
         if not is_linear(self.controller, self.vehicle):
             return math.nan
@@ -125,12 +127,12 @@ class Prediction:
 
     @property
     def vehicle(self) -> Vehicle:
-        """Vehicle with the limits and the implementation of this run."""
+        """Vehicle with the limits and the implementation that hold in this run."""
         return self.input.vehicle
 
     @property
     def road(self) -> Road:
-        """Road of this run."""
+        """Road over which the vehicle drives in this run."""
         return self.input.road
 
     @property
@@ -150,7 +152,7 @@ class Prediction:
 
     @property
     def reference(self) -> str:
-        """Name of the response with which a run is compared."""
+        """Name of the response with which the simulated run is compared."""
         return NONLINEAR if self.vehicle.parts.nonlinear else LINEAR
 
     @cached_property
@@ -166,7 +168,7 @@ class Prediction:
 
     @property
     def cause(self) -> str:
-        """Text that lists the effects in the run that the sampled response omits; empty if it omits only the error of RK4."""
+        """Text that lists the effects in the run that the sampled response omits; empty if only the error of RK4 is omitted."""
         noise = self.vehicle.implementation.noise_text if self.is_blurred else ""
         geometry = "geometry" if has_geometry(self.vehicle) else ""
         return " and ".join(filter(None, (geometry, noise, self.rounding_text)))
@@ -179,18 +181,18 @@ class Prediction:
 
     @property
     def varies(self) -> bool:
-        """True if the commands would be different at another time step, due to noise, quantisation or rounding."""
+        """True if the commands would change with the time step, due to noise, quantisation or rounding."""
         return self.is_blurred or bool(self.rounding_text)
 
     @property
     def rounding_text(self) -> str:
-        """Number format of exported code as text; empty if there is no code or the code uses double precision."""
+        """Number format of exported code as text; empty if there is no exported code, or if the code uses double precision."""
         code = self.controller.code
         return f"rounding to {code.law.numbers}" if code is not None and code.law.numbers != "double" else ""
 
 
 def predict_run(controller: AnyController, road: RoadInput, commands: Array, most_states: float = math.inf) -> Prediction:
-    """Returns the prediction of a run from equilibrium.
+    """Returns the prediction of a run that starts in equilibrium.
 
     Args:
         commands: commands of the actuators in the run, see `sim.drive.actuators`, shape (T, m) or (T, 2 m).

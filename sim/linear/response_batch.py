@@ -1,7 +1,7 @@
 """Exact linear responses of N runs with linear laws, computed together in blocks, as in `sim.linear.sampled_response`.
 
-The equations are xi' = A xi + sum of B v and y = C xi + sum of D v, with inputs v and a state xi that does not jump when the
-road jumps. The products are evaluated state by state, which takes half the time of products of small matrices.
+The equations are xi' = A xi + sum of B v and y = C xi + sum of D v, with inputs v. The state xi does not jump when the road
+jumps. The matrix products are evaluated state by state, because this takes half the time of products of small matrices.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ class ResponseBatch:
 
     Attributes:
         outputs: names of the outputs of the linear model.
-        index: index of each of these outputs among the signals of the vehicle.
+        index: index of each output among the signals of the vehicle.
     """
 
     def __init__(self, batch: Batch) -> None:
@@ -62,7 +62,9 @@ class ResponseBatch:
                 self._xi[: len(start), i] = start
 
     def block(self, samples: slice) -> Callable[[int], Array]:
-        """Advances all runs over the next samples. Returns a function that computes an output from its index, shape (B, N)."""
+        """Advances all runs by the next block of samples. Returns a function that computes the values of an output, shape (B,
+        N), from the index of this output.
+        """
         inputs = [(np.moveaxis(one[samples], 1, 2), B, D) for one, B, D in self._inputs]
         push = np.stack([sum(_row(B[i], one) for one, B, _ in inputs) for i in range(len(self._xi))], axis=1)
         states, products, moving = np.empty_like(push), np.empty_like(self._A), list(self._batch.steady(samples))
@@ -82,13 +84,15 @@ class ResponseBatch:
 
 
 def _closed_loop(vehicle: Vehicle, driver: RunDriver, timestep: float) -> StateSpace:
-    """Returns the closed loop from step to step, for a law without delay."""
+    """Returns the discrete-time model of the closed loop from one step to the next, for a law without delay."""
     law = cast("Controller", driver)  # the driver of each run is a linear controller
     return loop_of(replace(vehicle, implementation=Implementation()), law, timestep).closed_loop
 
 
 def _row(row: Array, inputs: Array) -> Array:
-    """Returns the product of a row of a matrix, shape (r, N), and inputs, shape (B, r, N), as shape (B, N)."""
+    """Returns the product of one matrix row for each run, shape (r, N), and inputs, shape (B, r, N); the result has shape (B,
+    N).
+    """
     total = np.zeros((len(inputs), row.shape[1]))
     for j in np.flatnonzero(row.any(axis=1)):
         total += row[j] * inputs[:, j]

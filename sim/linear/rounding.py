@@ -1,9 +1,10 @@
 """Effect of rounding errors on the signals of a run.
 
-Rounding errors do not depend on the road. In MuJoCo, lengths of about a metre have a relative rounding error of 1e-16, and
-large forces balance the weight of the vehicle. The error of a signal is therefore the same for a bump of a decimetre and a bump
-of a micrometre. The error model assumes that each state that is a length has an error of a few rounding errors. Each velocity
-has this error times the vehicle's fastest rate. The linear model gives the effect of these errors on the outputs.
+Rounding errors do not depend on the road. In MuJoCo, lengths of about a metre have a rounding error of 1e-16 m, and large
+forces balance the weight of the vehicle. A bump of one decimetre and a bump of one micrometre therefore cause the same rounding
+error of a signal. The error model assumes that the error of each state that is a length is a few times the rounding error. The
+error of each velocity is the error of a length times the vehicle's fastest rate. The effect of the state errors on the outputs
+follows from the linear model.
 """
 
 import numpy as np
@@ -23,7 +24,7 @@ RATES = 400  # number of frequencies at which the gain of a law is evaluated
 def roundings(vehicle: Vehicle, controller: AnyController | None) -> dict[str, float]:
     """Returns a bound on the rounding error of every output signal [unit of the signal].
 
-    The forces of a nonlinear law are assumed to be exact.
+    The forces that a nonlinear law requests are assumed to have no rounding errors.
     """
     model = vehicle.linear_model
     rate, moved_states = effect_on_states(vehicle)
@@ -44,7 +45,7 @@ def roundings(vehicle: Vehicle, controller: AnyController | None) -> dict[str, f
 
 
 def effect_on_states(vehicle: Vehicle) -> tuple[float, Array]:
-    """Returns the fastest rate of the vehicle [rad/s], and the effect of rounding on every state, shape (n,)."""
+    """Returns the fastest rate of the vehicle [rad/s], and the rounding error of every state, shape (n,)."""
     model, kind = vehicle.linear_model, vehicle.kind
     rate = float(np.abs(np.linalg.eigvals(model.A)).max())
     n = len(model.states) - len(kind.of_parts)
@@ -55,14 +56,15 @@ def effect_on_states(vehicle: Vehicle) -> tuple[float, Array]:
 
 
 def _largest_gain(law: LinearLaw, fastest: float) -> Array:
-    """Returns the largest gain of a law for each measurement, at frequencies up to twice the vehicle's rate, shape (m, q).
+    """Returns the largest gain of a law from each measurement to each force, at frequencies up to twice the vehicle's fastest
+    rate, shape (m, q).
 
     Args:
         law: control law in continuous time, from q measurements to m forces.
         fastest: fastest rate of the vehicle [rad/s].
 
-    The lowest frequency has a period of minutes, longer than a run. The gain of an integrator at lower frequencies has no
-    effect in a run.
+    The lowest frequency that is evaluated has a period of minutes, which is longer than a run. The gain of an integrator at
+    even lower frequencies has no effect in a run.
     """
     if not law.states:
         return np.abs(law.D)

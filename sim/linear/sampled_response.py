@@ -1,31 +1,34 @@
 """Exact linear responses of the sampled loop that MuJoCo simulates, and of the paper's continuous closed loop.
 
-Sampled loop. The forces are held over each step. The road is also held, at the height at mid-step or, for a measured road, at the
-mean height over the step (`RoadInput.midway`), as in `sim.drive`. The state xi = x - Bw z_r does not jump with the road. With xi,
-(29) becomes xi' = A xi + B u + (A Bw + Br) z_r. Over a step h, u and z_r are constant, so that
+Sampled loop. The forces are constant during each step. The road height is also constant, at its mid-step value or, for a
+measured road, at its mean over the step (`RoadInput.midway`), as in `sim.drive`. The state xi = x - Bw z_r does not jump when
+the road height z_r jumps. With the state xi, equation (29) becomes xi' = A xi + B u + (A Bw + Br) z_r. Over a step of length h,
+the force u and the road height z_r are constant, so that
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; held z_r],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
 
-If tyres damp, Bw is J + Bt (`models/kinds/linear_model.py`). J then replaces Bw in these equations. Bt acts on the mean road
-velocity over the step, which is held like a load.
+If tyres have damping, Bw is J + Bt (`models/kinds/linear_model.py`). The matrix J then replaces Bw in the equations above. The
+matrix Bt multiplies the road's mean velocity over the step, which is constant during the step like a load.
 
 If a damper or a spring has a characteristic, the response is computed by RK4 (`sim.linear.stepped`), regardless of `exponential`.
 
-Loads f on the body (`models/roads/loads/`) are also held over each step, at mid-step values; loads from files are held at their
-mean values. Loads enter the equations like u, with Bl instead of B. Signals and measurements at a sample use the load at the
-sample. Laws with states and measured accelerations enlarge the state (`synth/plant/loop.py`), but the equations remain the same.
+Loads f on the body (`models/roads/loads/`) are also constant during each step, at mid-step values; loads from files have their
+mean values over the step. The loads appear in the equations like the force u, with the matrix Bl instead of B. Signals and
+measurements at a sample are computed with the load at this sample. The states of a control law and measured accelerations
+enlarge the state vector (`synth/plant/loop.py`), but the equations remain the same.
 
 Continuous loop. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
 
     x[k+1] = exp(A_G h) x[k] + integral of exp(A_G (h - s)) (Bw z_r' + Br z_r)(t_k + s) ds,
 
-The integral is computed by Gauss-Legendre quadrature with 8 nodes, which is exact up to rounding errors for a smooth road. A step
-with a kink of the road is divided at the kink.
+The integral is computed by Gauss-Legendre quadrature with 8 nodes, which is exact up to rounding errors for a smooth road. A
+step during which the road has a kink is divided at the kink.
 
-Preview. The forces from the road ahead are added to the forces of the gain. In the sampled loop, the preview forces are known
-sums over the road heights. In the continuous loop, the preview forces are Cp g with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and
-d = Bp z_r' + Hp z_r; g decays backwards in time. P solves the Sylvester equation A_G P + P Ap + B Cp = 0. In the equation for
-y = x - P g, only the road remains on the right-hand side, and g is computed separately:
+Preview. The preview forces, which depend on the road ahead, are added to the forces of the gain. In the sampled loop, the
+preview forces are known in advance, because they are weighted sums of the road heights. In the continuous loop, the preview
+forces are Cp g with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and d = Bp z_r' + Hp z_r; the state g decays backwards in time. The
+matrix P solves the Sylvester equation A_G P + P Ap + B Cp = 0. With y = x - P g, the right-hand side depends on the road but
+not on g, which is computed separately:
 
     y' = A_G y + Bw z_r' + Br z_r + P d(t) - P exp(Ap T) d(t + T).
 """
@@ -63,19 +66,20 @@ SLOWEST_RATE = 1e-12  # rad/s; a system with a lower fastest rate does not move 
 def taylor4(M: Array) -> Array:
     """Returns the matrix exponential as RK4 approximates it: the Taylor polynomial of degree 4.
 
-    For a linear system, RK4 is exactly this polynomial.
+    For a linear system, an RK4 step is a multiplication by exactly this polynomial.
     """
     identity = np.eye(len(M))
     return identity + M @ (identity + M / 2 @ (identity + M / 3 @ (identity + M / 4)))
 
 
 def sampled_response(controller: Controller, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
-    """Returns the response of the sampled loop from equilibrium, at the sample times of the road.
+    """Returns the response of the sampled loop at the sample times of the road input, starting in equilibrium.
 
     Args:
         controller: linear controller of the vehicle that drives over the road.
-        road: road to drive over, with the vehicle that drives over it.
-        exponential: function for the matrix exponential; `taylor4` predicts RK4 up to rounding.
+        road: road input, which also contains the vehicle that drives over the road.
+        exponential: function that computes the matrix exponential; with `taylor4`, the result is that of RK4 up to rounding
+            errors.
     """
     return with_linear_sides(sampled_responses(controller, [road], exponential).run(0), road, True)
 
@@ -83,9 +87,9 @@ def sampled_response(controller: Controller, road: RoadInput, exponential: Calla
 def sampled_responses(
     controller: Controller, roads: Sequence[RoadInput], exponential: Callable[[Array], Array] = linalg.expm
 ) -> Response:
-    """Returns the responses to N roads, values of shape (N, T, S). Arguments as for `sampled_response`.
+    """Returns the responses to N roads; their values have shape (N, T, S). The arguments are those of `sampled_response`.
 
-    The signals of the vehicle are followed by the states of the law, each at the last sample of the law.
+    The response contains the signals of the vehicle, then the states of the control law, each at the law's last sample.
     """
     vehicle, h = roads[0].vehicle, roads[0].timestep
     if vehicle.parts.nonlinear:
@@ -99,8 +103,8 @@ def sampled_responses(
 
 
 def disturbances(roads: Sequence[RoadInput]) -> dict[str, Array]:
-    """Returns the inputs of a vehicle over N roads, by the input names of a sampled-data loop from `loop_of`, shape (N, T)
-    each.
+    """Returns the inputs of a vehicle over N roads, shape (N, T) each, by the input names of the sampled-data loop from
+    `loop_of`.
     """
     model = roads[0].vehicle.linear_model
     groups = [("midway", model.disturbances, MIDWAY), ("heights", model.disturbances, HEIGHT)]
@@ -115,7 +119,10 @@ def disturbances(roads: Sequence[RoadInput]) -> dict[str, Array]:
 
 
 def continuous_response(controller: Controller, road: RoadInput) -> Response:
-    """Returns the response of the continuous closed loop (16), from equilibrium. Arguments as for `sampled_response`."""
+    """Returns the response of the continuous closed loop (16), starting in equilibrium.
+
+    The arguments are those of `sampled_response`.
+    """
     loop, preview, model = loop_of(road.vehicle, controller), controller.preview, road.vehicle.linear_model
     system = loop.closed_loop.part(shown_outputs(loop), loop.closed_loop.inputs)
     Phi = linalg.expm(system.A * road.timestep)
@@ -136,12 +143,14 @@ def continuous_response(controller: Controller, road: RoadInput) -> Response:
 
 
 def shown_outputs(loop: Loop) -> tuple[str, ...]:
-    """Returns the names of the outputs that `shown_signals` needs: the outputs of the plant, and the states of the law."""
+    """Returns the names of the outputs that `shown_signals` needs: outputs of the plant, and states of the control law."""
     return (*loop.plant.outputs, *loop.law_states)
 
 
 def shown_signals(loop: Loop, roads: Sequence[RoadInput], outputs: Array, controller: Controller) -> Response:
-    """Returns all signals of the vehicle and of the law from the outputs `shown_outputs` over N roads, shape (N, T, p)."""
+    """Converts the outputs `shown_outputs` over N roads, shape (N, T, p), to a response with all signals of the vehicle and the
+    control law.
+    """
     runs = [response_by_name(road, loop.plant.outputs, values) for road, values in zip(roads, outputs, strict=True)]
     kept = controller.law.of_state(loop.period or None) * outputs[..., len(loop.plant.outputs) :]
     vehicle = Response(roads[0].time, roads[0].vehicle.kind.signals, np.stack([run.values for run in runs]))
@@ -174,9 +183,11 @@ def road_forcing(system: StateSpace, road_input: RoadInput) -> Array:
 
 
 def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: RoadInput) -> tuple[Array, Array, Array]:
-    """Returns g, P and the road's contribution to y over each step (see module docstring), shapes (T, k), (n, k) and (T, n).
+    """Returns g, shape (T, k), P, shape (n, k), and the road's contribution to y over each step, shape (T, n); see the module
+    docstring.
 
-    Evaluating a random road takes most of the time. Each value at a quadrature node is therefore used for all three integrals.
+    Evaluating a random road takes most of the computing time. Each road value at a quadrature node is therefore used for all
+    three integrals.
 
     Args:
         system: closed loop in continuous time, whose inputs are the control forces.
@@ -195,12 +206,12 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
     P = linalg.solve_sylvester(A, preview.A, -B @ preview.C)
 
     def met(t: Array) -> Array:
-        """Returns the preview input d (see module docstring) at given times, shape (T, k)."""
+        """Returns the preview input d (see module docstring) for an array of times, shape (T, k)."""
         pushed = under_wheels(road.velocity, road, vehicle, t) @ preview.B.T
         return pushed + under_wheels(road.displacement, road, vehicle, t) @ preview.H.T if preview.H.any() else pushed
 
     def change(t: Array) -> Array:
-        """Returns the terms of d, at given times, where the road enters and leaves the preview window, shape (T, k)."""
+        """Returns the terms of the preview input d for the road that enters and leaves the preview window, shape (T, k)."""
         return met(t) - met(t + T) @ later.T
 
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
@@ -232,7 +243,9 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
 
 
 def _leaps_ahead(preview: "RoadPreview", road_input: RoadInput) -> Array:
-    """Returns the contribution to g, at the samples, of jumps of the road height within the preview, shape (T, k)."""
+    """Returns the contribution that jumps of the road height within the preview make to the state g at the samples, shape (T,
+    k).
+    """
     time, h = road_input.time, road_input.timestep
     seen = np.zeros((len(time), len(preview.A)))
     for at, wheel, height in jumps_under_wheels(road_input.road, road_input.vehicle):
@@ -243,16 +256,19 @@ def _leaps_ahead(preview: "RoadPreview", road_input: RoadInput) -> Array:
 
 
 def _recursion_from(start: Array, Phi: Array, forcing: Array) -> Array:
-    """Returns the solution of x[k+1] = Phi x[k] + forcing[k], shape (T + 1, n), from a start, shape (n,); see `recursion`."""
+    """Returns the solution of x[k+1] = Phi x[k] + forcing[k], shape (T + 1, n), for the initial state `start`, shape (n,); see
+    `recursion`.
+    """
     return recursion(Phi, np.concatenate([start[None], forcing, start[None]]))[1:]
 
 
 def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Array:
-    """Returns the contribution of jumps of the road height to the steps in which they occur, shape (T, n).
+    """Returns the contribution of jumps of the road height to the state, for each step, shape (T, n).
 
-    A jump is an impulse of the road velocity, which acts through Bw.
+    A jump of the road height is an impulse of the road velocity, which acts through the matrix Bw.
 
-    A jump at a sample belongs to the step that begins there. Each jump acts `ahead` seconds before the wheel reaches the jump.
+    A jump at a sample time belongs to the step that begins at this time. Each jump acts `ahead` seconds before the wheel
+    reaches it.
     """
     time, h = road_input.time, road_input.timestep
     leaps = np.zeros((len(time), len(A)))
@@ -265,12 +281,12 @@ def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Ar
 
 
 def _forcing_integral(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array) -> Array:
-    """Returns the integral of push(t) in x' = A x + push(t) over the step that begins at each of the times, shape (T, n).
+    """Returns the contribution of push(t) to the state of x' = A x + push(t) over each step, shape (T, n).
 
     Args:
         A: system matrix of the differential equation, shape (n, n).
-        push: function of times that returns push(t) at these times, shape (.., n).
-        kinks: times at which the steps are divided [s].
+        push: function that returns the values of push(t) for an array of times, shape (.., n).
+        kinks: times of kinks, at which the steps are divided [s].
         time: start of each step [s].
     """
     h = float(time[1] - time[0])
@@ -282,7 +298,7 @@ def _forcing_integral(A: Array, push: Callable[[Array], Array], kinks: Array, ti
 def _over_pieces(
     A: Array, push: Callable[[Array], Array], cuts: Sequence[tuple[int, list[float]]], h: float, backward: bool = False
 ) -> Array:
-    """Returns the integral of exp(A (end - t)) push(t) over each of the divided steps, shape (K, n).
+    """Returns the integral of exp(A (end - t)) push(t) over each of the K divided steps, shape (K, n).
 
     If `backward` is True, the integrand is exp(A (t - start)) push(t).
 
@@ -314,7 +330,7 @@ CHEBYSHEV = 16  # number of nodes of the Chebyshev polynomial, whose degree is o
 
 
 def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[float]]]:
-    """Returns the steps that contain a kink: for each step, its index, and a list of its start, its kinks and its end [s]."""
+    """Returns the steps that contain a kink: for each step, the index, and a list of the times of start, kinks and end [s]."""
     found = []
     for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)) if len(time) else ():
         if 0 <= k < len(time):
@@ -334,10 +350,11 @@ def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: floa
 
 
 def largest_timestep(vehicle: Vehicle) -> float:
-    """Returns the largest stable time step of RK4 for the vehicle without control [s], to 1 %; infinite if nothing moves.
+    """Returns the largest time step at which RK4 is stable for the vehicle without control [s], accurate to 1 %; infinite if
+    nothing moves.
 
-    Semi-active dampers are considered at their softest and hardest setting, with the lag of their valves. The states of parts are
-    considered at their fastest rate.
+    This limit takes into account the softest and hardest setting of each semi-active damper, and the lag of the damper's valve.
+    For the states of parts, the fastest rate is taken into account.
     """
     A, forces = vehicle.linear_model.A, vehicle.linear_model.inputs
     systems = [A, *(np.array([[-one.part.fastest]]) for one in vehicle.parts if one.part.fastest)]

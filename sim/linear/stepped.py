@@ -1,18 +1,19 @@
 """Response of a vehicle that is linear except for its suspension forces, computed in steps of RK4 like those of MuJoCo.
 
-The state xi is defined in `sim.linear.sampled_response`. f contains the forces of `SuspensionForces`, and E their effect on the
-states:
+The state xi is defined in `sim.linear.sampled_response`. The vector f contains the forces of `SuspensionForces`, and the matrix
+E their effect on the states:
 
     xi' = A xi + B u + (A J + Br) z_r + Bh l + E f(d, v, u, z),    x = xi + J z_r,
 
-The deflections d, their rates v and the states z of parts are linear in x. If the states of parts are not linear, their
-additional rates are further forces in f. If a motion ratio changes an inertance by b(d) from its value in A, f also contains b(d)
-v' with v' = V xi'. The force u, the road z_r and the loads l are held over each step. Only f is nonlinear. The four stages of a
-step are therefore products with matrices that are computed in advance, and only f is evaluated in each stage.
+The deflections d, their rates v and the states z of parts depend linearly on the state x. If the states of parts obey nonlinear
+equations, f also contains the nonlinear terms of their rates. If a motion ratio changes an inertance by b(d) from the value
+that A contains, f also contains b(d) v' with v' = V xi'. The force u, the road height z_r and the loads l are constant during
+each step. Only f is nonlinear. The four stages of a step are therefore products with matrices that are computed in advance, and
+only f is evaluated in each stage.
 
-Actuator forces and the coefficients of semi-active dampers act with their lag, and with the motion ratio at each stage.
-At every sample, a law requests forces, and each semi-active damper takes the coefficient in its range that comes closest to its
-requested force. Limits of travel and force are not included.
+Actuator forces and the coefficients of semi-active dampers are computed at each stage, with their lag and with the present
+motion ratio. At every sample, a law requests forces, and each semi-active damper applies the allowed coefficient whose force is
+closest to the requested force. Limits of suspension travel and of actuator force are not included.
 """
 
 from collections.abc import Sequence
@@ -42,10 +43,11 @@ from synth.controller.controller import Controller
 
 
 class Stepper:
-    """Steps of N runs of a vehicle with m inputs. Inputs, road and loads are held over each step.
+    """Computes the RK4 steps of N runs of a vehicle with m inputs. Inputs, road heights and loads are constant during each
+    step.
 
     Attributes:
-        model: linear model with n states, of which the last are the lagging inputs. Coefficients of dampers are also inputs,
+        model: linear model with n states; the last states are the inputs behind a lag. Damping coefficients are also inputs,
             but have no effect in this model.
     """
 
@@ -110,11 +112,11 @@ class Stepper:
         return held @ (self._outside if pushed else self._outside[:wheels])
 
     def __call__(self, xi: Array, added: Array) -> Array:
-        """Returns xi after a step, shape (N, n).
+        """Returns the state xi after a step, shape (N, n).
 
         Args:
             xi: state xi of the vehicle before the step, shape (N, n).
-            added: contribution of road, loads and inputs to this step, shape (N, k), see `outside` and `by_inputs`.
+            added: contribution of road, loads and inputs to the present step, shape (N, k), see `outside` and `by_inputs`.
         """
         known, s, w = xi.dot(self._of_states), self._s, self._s + self._own
         known += added
@@ -133,11 +135,11 @@ class Stepper:
         """Returns the forces of the suspensions [N], shape (..., N, s).
 
         Args:
-            xi: state xi of the vehicle, which does not jump with the road, shape (..., N, n).
+            xi: state xi of the vehicle, which does not jump when the road height jumps, shape (..., N, n).
             heights: road heights [m], shape (..., N, r).
-            inputs: requested forces, or coefficients of dampers, shape (..., N, m).
-            held: loads on the body, followed by road velocities if tyres damp, shape (..., N, l) or (..., N, l + r); None if
-                all are zero.
+            inputs: requested forces, or damping coefficients of semi-active dampers, shape (..., N, m).
+            held: external loads on the body, shape (..., N, l), followed by road velocities if tyres have damping, shape (...,
+                N, l + r); None if all are zero.
         """
         y = xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs
         if held is not None and len(self._of_held):
@@ -145,15 +147,17 @@ class Stepper:
         return self._pulls(*self._at(y))
 
     def _at(self, y: Array) -> tuple[tuple[Array, Array, Array, Any], Array]:
-        """Returns the arguments of `SuspensionForces` at a stage of RK4, and v' without these forces."""
+        """Returns the arguments of `SuspensionForces` at a stage of RK4, and the velocities' derivatives v' without these
+        suspension forces.
+        """
         s, last = self._s, y.shape[-1] - len(self._response)
         end = last - self._own
         inputs = y[..., 2 * s : end] if self._still is None else self._still
         return (y[..., :s], y[..., s : 2 * s], inputs, y[..., end:last] if self._own else None), y[..., last:]
 
     def _pulls(self, at: tuple[Array, Array, Array, Any], free: Array) -> Array:
-        """Returns the suspension forces, including those of inertial parts [N], shape (..., N, s); the arguments are those that
-        `_at` returns.
+        """Returns the suspension forces, including the forces of inertial parts [N], shape (..., N, s); the arguments are those
+        that `_at` returns.
         """
         f = self._forces(*at)
         if not len(self._response):
@@ -163,23 +167,27 @@ class Stepper:
         return np.linalg.solve(held, (f + b * free)[..., None])[..., 0]
 
     def speeds(self, xi: Array, heights: Array) -> Array:
-        """Returns the extension rates of semi-active dampers [m/s], shape (..., m). Arguments as for `pulls`."""
+        """Returns the extension rates of semi-active dampers [m/s], shape (..., m). The arguments are those of `pulls`."""
         travels = (xi @ self._rows + heights @ self._of_road)[..., : self._s]
         x = (xi + heights @ self.model.jump.T)[..., : len(self._vehicle.linear_model.states)]
         return x @ self._stretching.T * self.ratios.turns(travels)
 
     def closing(self, of: CoefficientRange, xi: Array, heights: Array) -> Array:
-        """Returns the values of `CoefficientRange.closing`. Arguments as for `pulls`."""
+        """Returns the closing velocities and states that `CoefficientRange.closing` defines. The arguments are those of
+        `pulls`.
+        """
         travels = (xi @ self._rows + heights @ self._of_road)[..., : self._s] if of.elements else xi[..., : self._s]
         last = len(self._vehicle.linear_model.states)
         return of.closing(self.speeds(xi, heights), travels, xi[..., last - self._own : last])
 
     def response(self, road: RoadInput, xi: Array, inputs: Array, missing: Array) -> Array:
-        """Returns all signals of a run, shape (T, S).
+        """Returns the values of all signals of a run, shape (T, S).
 
         Args:
-            xi, inputs: states xi and held inputs at the samples, shapes (T, n) and (T, m).
-            missing: forces that semi-active dampers do not supply [N], shape (T, m); (T, 0) without semi-active dampers.
+            xi, inputs: states xi at the samples, shape (T, n), and inputs, which are constant from sample to sample, shape (T,
+                m).
+            missing: parts of the requested forces that semi-active dampers do not supply [N], shape (T, m); (T, 0) without
+                semi-active dampers.
         """
         vehicle, model, beside, x = self._vehicle, self.model, None, xi + road.heights @ self.model.jump.T
         held = road.in_signals[:, None] if road.has_held_inputs else None
@@ -206,9 +214,10 @@ class Stepper:
 
 
 def _with_lags(vehicle: Vehicle) -> tuple[LinearModel, Array, Array]:
-    """Returns the linear model with the lags of actuators and valves, and the gains from states and inputs to the acting inputs.
+    """Returns the linear model with the lags of actuators and valves, and the gains from states and inputs to the inputs behind
+    the lags.
 
-    The gains have shapes (m, n) and (m, m).
+    The gains from states have shape (m, n), and those from inputs have shape (m, m).
     """
     model, rates = vehicle.linear_model, lag_rates(vehicle)
     pushing, m = ~np.isin(model.inputs, list(vehicle.dampers)), len(rates)
@@ -218,10 +227,12 @@ def _with_lags(vehicle: Vehicle) -> tuple[LinearModel, Array, Array]:
 
 
 class _Laws:
-    """Linear laws of N runs; each law measures q signals at its samples. Laws with fewer states are padded with zeros."""
+    """Linear control laws of N runs; each law measures q signals at the samples of the controller. Laws with fewer states than
+    others are padded with zeros.
+    """
 
     def __init__(self, controllers: Sequence[Controller], inputs: Sequence[RoadInput], steps: Stepper, period: int) -> None:
-        """Prepares the laws. `period` is the number of time steps per sample of the laws."""
+        """Prepares the laws. `period` is the number of time steps in a sample period of the laws."""
         model, different, laws = steps.model, {id(one): one for one in controllers}, dict[int, LinearLaw]()
         for key, one in different.items():
             with error_in(f"controller {one.name!r}:"):
@@ -247,12 +258,13 @@ class _Laws:
                 self._ahead[:, i, : self._forces] = forces_ahead(one.preview, road, period)[::period]
 
     def __call__(self, sample: int, xi: Array, inputs: Array, pulls: Array, law_states: Array) -> list[Array]:
-        """Returns the requested forces and the states after a sample, shapes (N, m) and (N, k).
+        """Returns the forces that the laws request at a sample, shape (N, m), and the states of the laws after this sample,
+        shape (N, k).
 
         Args:
-            sample: index of the sample, from 0.
-            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. `inputs` contains the inputs
-                that have acted until the sample.
+            sample: index of the sample, counted from 0.
+            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. The array `inputs` contains
+                the inputs that have acted until the sample.
             law_states: states of the laws before the sample, shape (N, k).
         """
         y = np.concatenate([xi, inputs, pulls], axis=1) @ self._readings + self._outside[sample]
@@ -263,16 +275,17 @@ class _Laws:
 
 @dataclass(frozen=True, eq=False)
 class SteppedRuns:
-    """Results of N runs over T samples.
+    """Results of N runs over T time steps.
 
     Attributes:
         steps: object that computes the steps of the vehicle.
-        inputs: roads of the N runs.
+        inputs: road inputs of the N runs.
         states: states xi at the samples, shape (T, N, n).
-        given_forces: inputs of the vehicle, which are held from each sample to the next, shape (T, N, m).
-        missing_forces: forces that semi-active dampers do not supply [N], shape (T, N, m); (T, N, 0) without semi-active
-            dampers.
-        law_states: states of the laws, each at the last sample of its law, shape (N, T, k).
+        given_forces: inputs of the vehicle (forces or damping coefficients), constant from each sample to the next, shape (T,
+            N, m).
+        missing_forces: parts of the requested forces that semi-active dampers do not supply [N], shape (T, N, m); (T, N, 0)
+            without semi-active dampers.
+        law_states: states of the control laws, each at the law's last sample, shape (N, T, k).
     """
 
     steps: Stepper
@@ -284,7 +297,9 @@ class SteppedRuns:
 
     @property
     def response(self) -> Response:
-        """Signals of the vehicle, followed by the states of the laws, values of shape (N, T, S)."""
+        """Response with the signals of the vehicle, followed by the states of the control laws; its values have shape (N, T,
+        S).
+        """
         each = (self.states, self.given_forces, self.missing_forces)
         runs = [self.steps.response(road, *(one[:, i] for one in each)) for i, road in enumerate(self.inputs)]
         response = Response(self.inputs[0].time, self.inputs[0].vehicle.kind.signals, np.stack(runs))
@@ -293,16 +308,16 @@ class SteppedRuns:
 
     @property
     def single(self) -> Response:
-        """Response of the first run, including the values on the other side of vertical edges of the road."""
+        """Response of the first run, including the values on both sides of the road's vertical edges."""
         return with_linear_sides(self.response.run(0), self.inputs[0], True)
 
     @property
     @np.errstate(over="ignore", invalid="ignore")
     def finer(self) -> Response:
-        """Response without the estimated error of RK4.
+        """Response from which the estimated error of RK4 is removed.
 
-        The error of a step is estimated from two steps of half its length, which are computed for all steps together. The error
-        then propagates as in the linear model without the controller.
+        The error of a step is estimated by comparison with two steps of half the length, which are computed for all steps
+        together. The error is assumed to propagate as in the linear model without the controller.
         """
         h, model = self.inputs[0].timestep, self.steps.model
         half = Stepper(self.inputs[0].vehicle, h / 2)
@@ -317,11 +332,12 @@ class SteppedRuns:
 
 @np.errstate(over="ignore", invalid="ignore")  # the signals of an unstable loop overflow; the run records this
 def stepped_runs(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> SteppedRuns:
-    """Returns the runs of sampled loops from equilibrium. For laws with fewer states than others, the last states are 0.
+    """Simulates the sampled loops of N runs, starting in equilibrium. For control laws with fewer states than others, the last
+    entries of `law_states` are 0.
 
     Args:
-        controllers: linear controllers of the N runs. Their measurements have no noise.
-        inputs: roads of the N runs, for the same vehicle and at the same sample times.
+        controllers: linear controllers of the N runs. Noise is not added to the measurements of these controllers.
+        inputs: road inputs of the N runs, for the same vehicle and at the same sample times.
     """
     vehicle, time, h = inputs[0].vehicle, inputs[0].time, inputs[0].timestep
     how, of = vehicle.implementation, range_of([vehicle]) if vehicle.dampers else None
@@ -363,7 +379,7 @@ def stepped_runs(controllers: Sequence[Controller], inputs: Sequence[RoadInput])
 
 @np.errstate(over="ignore", invalid="ignore")
 def forced_run(forces: Array, road: RoadInput) -> SteppedRuns:
-    """Returns the run from equilibrium with requested forces at every sample [N], shape (T, m)."""
+    """Simulates one run, starting in equilibrium, with known requested forces at every sample [N], shape (T, m)."""
     steps = Stepper(road.vehicle, road.timestep)
     added, states = steps.outside([road]) + (forces @ steps.by_inputs)[:, None], np.zeros((len(road.time), 1, len(steps.model.A)))
     if (start := road.vehicle.start_state) is not None:

@@ -1,4 +1,4 @@
-"""Runs of one vehicle, road and controller: simulation, predictions, their comparison, forces, and reports.
+"""Runs of one vehicle with one controller over one road: simulation, predictions, comparison of both, forces, and reports.
 
 Start with `run.py`.
 """

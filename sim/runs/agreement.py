@@ -1,21 +1,23 @@
 """Verdict on a run: do the steps of MuJoCo follow the vehicle's equations, and do the commands follow the control law?
 
-A run agrees if two local checks hold:
+A run agrees with the model if two local checks hold:
 
-1. Every MuJoCo step equals one RK4 step of the vehicle's exact nonlinear equations from the same state (`sim.observers.steps`).
-   This check includes lift-off, stops, characteristics, dampers and large angles.
-2. Every command equals the command of the control law for the measurements of the run (`sim.observers.commands`). This check
-   includes sampling, delay, noise, quantisation, limits and exported code.
+1. Every MuJoCo step equals one RK4 step of the vehicle's exact nonlinear equations that starts in the same state
+   (`sim.observers.steps`). The check of steps includes lift-off, stops, characteristics, dampers and large angles.
+2. Every command equals the command of the control law for the measurements of the run (`sim.observers.commands`). The check of
+   commands includes sampling, delay, noise, quantisation, limits and exported code.
 
-If both checks hold, the trajectory is a solution of the equations and the law. The difference from the linear response is then a
-result, not an error. Its causes are the integrator, geometry, noise, or an event that ends the linear regime.
+If both checks hold, the trajectory is a solution of the equations of motion and the control law. The difference from the linear
+response is then a result, not an error. This difference is caused by the integrator, geometry, noise, or an event that ends the
+linear regime.
 
-Linear analysis applies to such a run because the equations are linear, or nearly linear, until this event. `LinearComparison`
-computes the difference only if it is needed. The verdict does not need this difference.
+Linear analysis applies to a run until such an event, because the equations are linear, or nearly linear, until then.
+`LinearComparison` computes the difference from the linear response only if the difference is needed. The verdict does not
+depend on the difference from the linear response.
 
-A vehicle type with rotating bodies but without equations of motion is checked to first order. The run is repeated on the same
-road with its height multiplied by `SMALL`. The relative difference from the linear response must then be smaller by the factor
-`SMALL`.
+For a vehicle type with rotating bodies but without equations of motion, only the linear (first-order) behaviour is checked. The
+run is repeated on the same road with all heights multiplied by `SMALL`, and compared with linear analysis. The relative
+difference from the linear response must then be smaller by the factor `SMALL`.
 """
 
 import math
@@ -57,13 +59,13 @@ class SignalAgreement:
     """Difference between one simulated signal and linear analysis, as long as linear analysis applies.
 
     Attributes:
-        sampled: largest difference from the exact sampled response, relative to the peak of this response; NaN if this response
-            does not exist.
-        continuous: largest difference from the response of the continuous closed loop, relative to its peak. The difference
-            includes the effect of holding the force over a step. NaN if this response does not exist.
-        allowed: bound on `sampled` due to the error of RK4 and rounding; NaN if the difference has no bound.
+        sampled: largest difference from the exact sampled response, relative to the peak of the sampled response; NaN if there
+            is no sampled response.
+        continuous: largest difference from the response of the continuous closed loop, relative to the peak of this response;
+            NaN if there is no such response. The difference is partly due to the force, which is constant during each step.
+        allowed: bound on `sampled` that allows for the error of RK4 and for rounding; NaN if the difference has no bound.
         scale: value by which the differences are divided [unit of the signal].
-        small: value of `sampled` for the same road with its height multiplied by `SMALL`; None if it was not needed.
+        small: value of `sampled` for the same road with all heights multiplied by `SMALL`; None if this value was not needed.
     """
 
     sampled: float
@@ -74,8 +76,8 @@ class SignalAgreement:
 
     @property
     def excess(self) -> float:
-        """Difference divided by the allowed value. If the run was repeated on a lower road (`SMALL`), the difference on the
-        lower road counts.
+        """Difference from linear analysis, divided by the allowed difference. If the run was repeated on a lower road
+        (`SMALL`), the difference on the lower road is used.
         """
         if self.small is None:
             return self.sampled / self.allowed
@@ -83,20 +85,20 @@ class SignalAgreement:
 
     @property
     def agrees(self) -> bool:
-        """True if the difference is allowed, or has no bound."""
+        """True if the difference from linear analysis does not exceed its bound, or if there is no bound."""
         return not self.excess > 1
 
 
 @dataclass(frozen=True, eq=False)
 class LinearComparison:
-    """Differences of a run from its linear responses, as long as linear analysis applies.
+    """Differences between a simulated run and the linear responses, as long as linear analysis applies.
 
     Attributes:
         prediction: linear responses of the run.
         physics: response that MuJoCo simulates.
-        until: time until which linear analysis applies [s]; infinite if it applies to the whole run.
-        small: simulated response on the same road with its height multiplied by `SMALL`; None if it was not simulated. The
-            linear responses are proportional to the height.
+        until: time until which linear analysis applies [s]; infinite if linear analysis applies to the whole run.
+        small: simulated response on the same road with all heights multiplied by `SMALL`; None if this response was not
+            simulated. The linear responses are proportional to the road height.
     """
 
     prediction: Prediction
@@ -106,7 +108,7 @@ class LinearComparison:
 
     @property
     def cause(self) -> str:
-        """Text that states the largest cause of the differences."""
+        """Text that states the main cause of the differences from linear analysis."""
         own = "rounding" if self.prediction.vehicle.parts.nonlinear and self.prediction.is_linear else "RK4's own error"
         return self.prediction.cause or own
 
@@ -143,7 +145,7 @@ class LinearComparison:
     @cached_property
     @np.errstate(over="ignore", invalid="ignore")  # signals of an unstable loop may overflow
     def _own_errors(self) -> dict[str, float]:
-        """Error of RK4 in each signal, relative to the peak of the response without this error."""
+        """Error of RK4 in each signal, relative to the signal's peak in the response without this error."""
         exact = self.prediction.sampled if self.prediction.finer is None else self.prediction.finer
         integrated, exact = self.prediction.integrated.until(self.until), exact.until(self.until)
         return {name: _difference(integrated, exact, name) for name in self.prediction.vehicle.linear_model.outputs}
@@ -151,7 +153,9 @@ class LinearComparison:
     def _to_first_order(
         self, signals: Mapping[str, SignalAgreement], sampled: Response, physics: Response
     ) -> dict[str, SignalAgreement]:
-        """Adds the differences on the lower road, for a vehicle type with rotating bodies but without equations of motion."""
+        """Adds the differences on the lower road (`SMALL`), for a vehicle type with rotating bodies but without equations of
+        motion.
+        """
         smaller = Response(sampled.time, sampled.signals, SMALL * sampled.values)
         rounding, done = roundings(self.prediction.vehicle, None), dict[str, SignalAgreement]()
         for name, signal in signals.items():
@@ -162,13 +166,14 @@ class LinearComparison:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Agreement(LinearComparison, ShownResult):
-    """Verdict on one run: differences from linear analysis, as long as it applies, and checks of steps and commands.
+    """Verdict on one run: differences from linear analysis, as long as linear analysis applies, and checks of steps and
+    commands.
 
     Attributes:
         lift_off: time intervals in which at least one tyre is off the ground, each as (start, end) [s].
         end_times: first time of each of `REGIME_ENDS` [s], by name; infinite for an end that does not occur.
-        steps: comparison of all steps with the vehicle's exact equations, even after `until`; None if the vehicle has no
-            equations.
+        steps: comparison of all steps, including those after `until`, with the vehicle's exact equations of motion; None if
+            these equations are unknown.
         commands: comparison of the commands with the control law; None if the law is unknown, as in the log of a Python control
             law.
         code_effect: effect of exported code on the run, which must be small; None if there is no exported code.
@@ -189,7 +194,7 @@ class Agreement(LinearComparison, ShownResult):
 
     @property
     def agrees(self) -> bool:
-        """True if all known checks of steps and commands hold, and at least one comparison was made."""
+        """True if all checks of steps and commands that were made hold, and at least one comparison was made."""
         checked = self.until > 0 or (self.steps is not None and self.steps.until > 0)
         checks = (self.steps, self.commands, self.code_effect)
         return checked and self.follows_linear and all(one is None or one.agrees for one in checks)
@@ -239,13 +244,15 @@ def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffe
 
 
 def _passes_through(vehicle: Vehicle, physics: Response) -> bool:
-    """Returns True if a tyre is so long or short that its hub may have passed through the road between two samples."""
+    """Returns True if a tyre is so long or so short at a sample that the hub may have passed through the road between two
+    samples.
+    """
     return any(np.abs(physics[wheel.tyre_deflection]).max(initial=0.0) > MOST_SQUEEZE / 2 for wheel in vehicle.kind.wheels)
 
 
 def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:
-    """Returns the intervals in which any tyre is off the ground, ordered by time, each as the times of its first and last
-    sample [s].
+    """Returns the time intervals in which a tyre is off the ground, in order, each as the times of the first and last sample
+    [s].
     """
     intervals = []
     for limit in LIFT_OFF.thresholds(vehicle):
@@ -256,11 +263,12 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
 
 
 def first_loose(met: RoadInput, physics: Response) -> float:
-    """Returns the time of the first sample before which a tyre may have been off the ground within a step [s], or infinity.
+    """Returns the end of the first step within which a tyre may have been off the ground [s]; infinity if there is no such
+    step.
 
-    MuJoCo holds the road at one height over a step. Within the step, a tyre may therefore be shorter or longer than at the
-    samples. The second difference of a hub's path bounds the curvature of the path within a step, as evaluated by the stages of
-    RK4.
+    In MuJoCo, the road height is constant during a step. Within a step, a tyre may therefore be shorter or longer than at the
+    samples. The curvature of a hub's path within a step, as the stages of RK4 evaluate it, is bounded by the second difference
+    of the path.
     """
     vehicle, first, physics = met.vehicle, np.inf, from_steady(met, physics)
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
@@ -279,8 +287,8 @@ def first_loose(met: RoadInput, physics: Response) -> float:
 
 
 def _difference(response: Response, reference: Response, signal: str) -> float:
-    """Returns the largest difference over time, relative to the reference's scale; 0 if nothing moves, NaN if the reference is
-    NaN.
+    """Returns a signal's largest difference between two responses over time, relative to the reference's scale; 0 if nothing
+    moves, NaN if the reference is NaN.
     """
     if len(response.time) == 0:
         return 0.0

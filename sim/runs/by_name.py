@@ -1,4 +1,4 @@
-"""Runs of a vehicle with several controllers, which can be given by their names in the vehicle file."""
+"""Runs of a vehicle with several controllers, which can be selected by name in the vehicle file."""
 
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
@@ -28,15 +28,16 @@ def run(
     duration: Time = 3.0,
     timestep: Time = USUAL_TIMESTEP,
 ) -> list[Run]:
-    """Simulates each controller over a road in MuJoCo, starting from equilibrium, and compares with linear analysis.
+    """Simulates each controller over a road in MuJoCo, starting from equilibrium, and compares the runs with linear analysis.
 
     Args:
         controllers: results of `synth.design_controllers`, or names or entries of `vehicle.controllers`, which are designed if
             necessary. A function can also be used as a control law. law(t, y) receives the time [s] and the q measurements,
-            shape (q,). The function returns the force [N], a number or an array of shape (m,). A function law(sample, state)
-            returns the force and the next state, like a law in a Python file. The function measures the signals in its
-            attribute `measured` or, by default, all measurable signals. An object with the methods of `sim.Driver` can also be
-            used as a control law. For a single controller, the result is a list with one run.
+            shape (q,). The function law(t, y) returns the force [N], a number or an array of shape (m,). A function law(sample,
+            state) returns the force and the next state, like a control law in a Python file. A function receives the signals
+            that its attribute `measured` lists or, without this attribute, all measurable signals. An object with the methods
+            of `sim.Driver` can also be used as a control law. A single controller may be given without a list; the result is
+            then a list with one run.
         road: road to drive over, for example `models.Bump(height=0.1)`.
         duration: duration of the run [s].
         timestep: time step of MuJoCo [s]. The time step is also the sample period of the controllers if the vehicle file does
@@ -46,8 +47,8 @@ def run(
         One run per controller, with the simulated response, the predicted responses, and the verdict `agrees`.
 
     Raises:
-        InputError: the vehicle cannot drive over this road, a controller belongs to another vehicle, a time is not allowed, or
-            a function fails.
+        InputError: the vehicle cannot drive over the road, a controller belongs to a different vehicle, a time is not allowed,
+            or a function fails.
         DesignError: a controller cannot be designed.
 
     Example:

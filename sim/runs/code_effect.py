@@ -1,7 +1,7 @@
-"""Effect of exported code on a run: the difference from the same MuJoCo run with the control law itself.
+"""Effect of exported code on a run: the difference from a MuJoCo run with the control law itself instead of the code.
 
-The run with the law must agree with the model, and the code may change no signal by more than `MOST` of its peak. A separate
-check compares every command of the run with the code (`sim.observers.commands`).
+The run with the control law must agree with the model, and the code may change no signal by more than `MOST` of its peak. A
+separate check (`sim.observers.commands`) compares every command in the run with the command that the code computes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,11 +30,12 @@ class CodeEffect:
 
     Attributes:
         numbers: number format in which the code computes, see `ExportedLaw`.
-        apart: difference of each output signal between the two runs at every sample, by name, until one of the runs diverges.
+        apart: difference of each output signal between both runs at every sample, by name of the signal, until one of the runs
+            diverges.
         share: largest difference among all signals, each relative to the signal's scale, as long as linear analysis applies.
         signal: name of the signal with the largest difference.
         law_agrees: True if the run with the law itself agrees with the model.
-        clipped_readings: names of measurements that exceed their fixed-point range, where the code clips them.
+        clipped_readings: names of measurements that the code clips, because they exceed their fixed-point range.
     """
 
     numbers: str
@@ -50,16 +51,16 @@ class CodeEffect:
         return self.law_agrees and self.share <= MOST
 
     def peak(self, name: str) -> float:
-        """Returns the largest difference of a signal between the two runs."""
+        """Returns the largest difference of a signal between the run with the code and the run with the law."""
         return float(self.apart[name].max(initial=0.0))
 
     def rms(self, name: str) -> float:
-        """Returns the root mean square of a signal's difference between the two runs."""
+        """Returns the root mean square of a signal's difference between the run with the code and the run with the law."""
         return float(np.sqrt(np.mean(self.apart[name] ** 2))) if len(self.apart[name]) else 0.0
 
     @property
     def failures(self) -> list[str]:
-        """Messages with the reasons why the exported code does not agree; empty if it agrees."""
+        """Messages with the reasons why the exported code does not agree with the control law; empty if the code agrees."""
         lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the control law itself does not agree with the model"]
         if self.share > MOST:
             lines.append(
@@ -76,7 +77,7 @@ def code_effect(
 
     Args:
         driver: controller whose control law the code implements.
-        physics, law_physics: simulated responses with the code and with the law itself.
+        physics, law_physics: simulated response with the exported code, and simulated response with the control law itself.
         names: names of the output signals.
         until: time until which linear analysis applies to the run with the law [s].
         law_agrees: True if the run with the law agrees with the model.
@@ -101,7 +102,7 @@ DIFFERENCES = Record[CodeEffect](_differences)
 
 
 def code_notes(effect: CodeEffect, vehicle: Vehicle) -> list[str]:
-    """Returns a sentence on exported code and on how much it changes the signals compared with the control law."""
+    """Returns a sentence that states how much exported code changes the signals compared with the control law."""
     line = f"the controller runs as compiled code in {effect.numbers}"
     if effect.clipped_readings:
         return [
@@ -116,7 +117,7 @@ def code_notes(effect: CodeEffect, vehicle: Vehicle) -> list[str]:
 
 
 def code_table(effect: CodeEffect, vehicle: Vehicle) -> Table:
-    """Returns the table of differences of all signals from the run with the law itself."""
+    """Returns a table of how much each signal differs from that in the run with the control law itself."""
     fields = (
         Field[str]("signal", lambda name: name.replace("_", " ")),
         Field[str]("unit", lambda name: vehicle.kind.signal(name).unit),

@@ -27,9 +27,9 @@ class Shortfall:
 
     Attributes:
         rms: rms of the missing force relative to the rms of the requested force; 0 if no force was requested.
-        time: fraction of the samples at which some force is missing.
+        time: fraction of the samples at which part of the requested force is missing.
         softest, hardest: smallest and largest damping coefficient [N s/m], or smallest and largest voltage [V].
-        late: value of `rms` if the force that is missing due to the lag of the valve is included; None if the valve has no lag.
+        late: value of `rms` that also includes the force missing due to the lag of the valve; None if the valve has no lag.
     """
 
     rms: float
@@ -67,7 +67,7 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
 
 
 def damper_notes(run: RunResult) -> list[Statement]:
-    """Returns sentences on the force that semi-active dampers did not supply, and its consequence for linear analysis."""
+    """Returns sentences on the force that semi-active dampers did not supply, and on the consequence for linear analysis."""
     names, texts, most = {one.force: one.coefficient for one in run.vehicle.parts.adjustable}, list[str](), 0.0
     delayed = ["delay"] * bool(run.vehicle.implementation.delay)
     delayed += ["valve lag"] * any(one.bandwidth is not None for one in run.vehicle.dampers.values())

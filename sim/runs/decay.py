@@ -1,9 +1,10 @@
 """Free decay: frequencies and damping ratios of a vehicle that is released on a flat road.
 
 In a linear loop, the modes determine the motion from sample to sample. A constant matrix therefore maps the state signals at a
-few successive samples to their values one sample later. This matrix is found by least squares. Its eigenvalues give the
-frequencies and damping ratios of the modes. Singular values at the level of rounding are removed, so that modes without motion
-have no effect. With characteristics or large angles, the result is the linear loop that fits the whole decay best.
+few successive samples to the same signals one sample later. This constant matrix is found by least squares. The eigenvalues of
+the matrix give the frequencies and damping ratios of the modes. Singular values at the level of rounding errors are removed, so
+that modes without motion have no effect. With characteristics or large angles, the result is the linear loop that fits the
+whole decay best.
 """
 
 import math
@@ -30,12 +31,12 @@ TIME = Field[float]("time constant", float, ".3g", unit="s")
 
 @dataclass(frozen=True)
 class Mode:
-    """Mode of a free decay.
+    """Mode of oscillation or decay that a free decay contains.
 
     Attributes:
         frequency: undamped natural frequency |s| / (2 pi) [Hz].
         damping_ratio: -Re s / |s|; 1 for a mode that does not oscillate.
-        share: fraction of the signals' energy that is due to this mode; each signal is divided by its peak.
+        share: fraction of the signals' energy that is due to this mode, where each signal is divided by its peak.
     """
 
     frequency: float
@@ -44,7 +45,7 @@ class Mode:
 
     @property
     def words(self) -> str:
-        """Frequency and damping ratio as text, or the time constant of a mode that does not oscillate."""
+        """Frequency and damping ratio of the mode as text; for a mode that does not oscillate, the time constant."""
         if abs(self.damping_ratio) >= 1:
             growing = " growth" if self.damping_ratio < 0 else ""
             return f"aperiodic{growing}, time constant {TIME.text(1 / (2 * math.pi * self.frequency))}"

@@ -1,4 +1,6 @@
-"""Damper and spring diagrams: the force of a suspension against velocity or deflection, with its characteristic or limits."""
+"""Damper and spring diagrams: the force of a suspension against velocity or deflection, with the characteristic or limits of
+the force.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,9 +27,9 @@ class Line:
     """Line in a force diagram: a characteristic or a limit.
 
     Attributes:
-        signal: name of the log signal that contains the force of this line for the argument in the run.
+        signal: log signal that contains the force of this line, evaluated at the run's velocities or deflections.
         label, dash, width: label and style of the line.
-        force: function that returns the force of this line [N] for an array of arguments.
+        force: function that returns the force of this line [N] for an array of velocities or deflections.
     """
 
     signal: Signal
@@ -42,12 +44,12 @@ class Diagram:
     """Diagram of a force against the velocity or deflection on which it depends (its argument).
 
     Attributes:
-        title: title with the name of the parameter and its place.
-        over: name and unit of the argument over which the force is drawn.
-        argument, pull: signals that contain the argument and the force in a log.
-        x: function that returns the argument in a response, shape (T,).
-        force: function of the argument and a response that returns the force, positive if it contracts the suspension [N],
-            shape (T,).
+        title: title that names the vehicle parameter or damper, and where in the vehicle it is.
+        over: name and unit of the argument (velocity or deflection) against which the force is plotted.
+        argument, pull: log signals that contain the argument and the force.
+        x: function that returns the values of the argument in a response, shape (T,).
+        force: function that returns the force [N] from the argument and a response, positive if the force contracts the
+            suspension, shape (T,).
         lines: lines to draw in the diagram.
     """
 
@@ -69,9 +71,9 @@ def diagrams(vehicle: Vehicle) -> list[Diagram]:
 
 
 def diagram_signals(vehicle: Vehicle, physics: Response) -> Response | None:
-    """Returns the signals of all diagrams over time from a response; None if the vehicle has no diagrams.
+    """Computes the signals of all force diagrams over time from a response; None if the vehicle has no diagrams.
 
-    Each diagram plots the force, and its characteristic or limits, over the argument.
+    Each diagram plots a force, and the characteristic or limits of this force, against velocity or deflection.
     """
     signals: list[Signal] = []
     values: list[Array] = []

@@ -16,11 +16,11 @@ from sim.drive.response import Response
 
 
 def load_histories(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
-    """Returns the loads over time: their sum in each direction and, if there are several loads, each load;
+    """Returns the external loads over time: the sum in each direction and, if there are several loads, each load;
 
     None if there are no loads.
 
-    The loads are held over each step at their value midway through the step, as in the simulation.
+    The loads are constant during each step, at their value midway through the step, as in the simulation.
     """
     if not isinstance(road, RoadWithLoads):
         return None
@@ -41,7 +41,7 @@ def load_histories(vehicle: Vehicle, road: Road, time: Array) -> Response | None
 
 
 def _load_names(loads: Sequence[Load]) -> list[str]:
-    """Returns a name for each load: its type, with a number if there are several loads of this type."""
+    """Returns a name for each load: the type of the load, followed by a number if there are several loads of the same type."""
     kinds = [load.text.partition(":")[0] if load.label == load.text else "file" for load in loads]
     counted = [f"{kind}_{kinds[: i + 1].count(kind)}" for i, kind in enumerate(kinds)]
     return [name if kinds.count(kind) > 1 else kind for kind, name in zip(kinds, counted, strict=True)]
@@ -51,7 +51,7 @@ LONGEST = 26  # largest number of characters of a number in the text, including 
 
 
 def written_forces(names: Sequence[str], forces: Array) -> bytes:
-    """Returns forces [N], shape (T, m), as text with their names as heading."""
+    """Returns forces [N], shape (T, m), as text whose heading contains the names of the forces."""
     rows = (",".join(map(repr, row)) for row in forces.tolist())
     return "\n".join([",".join(names), *rows, ""]).encode()
 
@@ -60,7 +60,7 @@ def read_forces(content: bytes, names: Sequence[str], samples: int) -> Array:
     """Reads forces [N], shape (T, m), from a text.
 
     Raises:
-        InputError: the text contains forces with other names, or another number of samples than expected.
+        InputError: the names of the forces or the number of samples in the text differ from the expected ones.
     """
     heading, m = (",".join(names) + "\n").encode(), len(names)
     if not content.startswith(heading) or len(content) > len(heading) + LONGEST * m * samples:

@@ -1,4 +1,4 @@
-"""Runs as objects for `--json` and for logs."""
+"""JSON objects that describe runs, for `--json` and for logs."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -30,12 +30,14 @@ BALANCE = Record[Energy](
 
 
 def _local_check(where: str, *names: str) -> Callable[[RunResult], dict[str, Any] | None]:
-    """Returns a function that returns one of the two local checks of a run as JSON; None if the check was not made."""
+    """Returns a function that describes one of the two local checks of a run as JSON; None if the check was not made."""
     return Record(**{name: lambda one, name=name: getattr(one, name, None) for name in ("agrees", *names)}).all(where)
 
 
 def _worst_line(run: RunResult) -> dict[str, Any] | None:
-    """Returns, as JSON, the largest error of the linearisation at equilibrium; None if nothing is compared."""
+    """Returns, as JSON, the largest error of the linearisation at equilibrium; None if no signal is compared with the
+    linearisation.
+    """
     if not (errors := run.line_errors):
         return None
     worst = max(errors, key=errors.__getitem__)
@@ -70,7 +72,7 @@ SIGNAL = Record[tuple[RunResult, str]](
 
 
 def controller_record(controller: AnyController) -> dict[str, Any]:
-    """Returns a controller as JSON. For a Python control law, the results of linear analysis are None."""
+    """Describes a controller as JSON. For a Python control law, the results of linear analysis are None."""
     if controller.linear is False:
         return controller.record | dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
     claims = Record(BOUND, NORM, PEAK, stability=lambda one: one.stability.verdict)

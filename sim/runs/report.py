@@ -1,8 +1,8 @@
 """Reports on runs: documents, and the events that logs contain. Only text and pages need this module; the module `record`
 produces JSON.
 
-`describe_run` describes the verdict on a run and its reasons in sentences. Commands, reports, logs and inspections print these
-sentences.
+`describe_run` describes, in sentences, the verdict on a run and the reasons for this verdict. Commands, reports, logs and
+inspections print the sentences from `describe_run`.
 """
 
 import math
@@ -72,7 +72,7 @@ CHANGE = Field[float]("change", float, "+.1f", 100.0)
 
 
 def _proved(run: RunResult) -> Any:
-    """Returns the certificate of a stable linear loop, otherwise None."""
+    """Returns the controller's certificate if the loop is linear and stable, otherwise None."""
     controller: Any = run.controller
     return controller.certificate if controller.linear is not False and controller.certificate.stable else None
 
@@ -98,7 +98,7 @@ def line_words(run: RunResult) -> str:
 
 
 def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
-    """Returns the control law of a controller, its norm and bound, and remarks, one sentence each."""
+    """Returns one sentence each on a controller's control law, on its norm and bound, and on remarks."""
     if controller.linear is False:
         forced = ["the columns sampled and continuous are linear responses to the forces that the control law requested"]
         forced = [
@@ -175,7 +175,7 @@ def verdict(run: RunResult) -> Statement:
 
 
 def _when(run: RunResult) -> str:
-    """Returns a text that states until which time linear analysis applies, and which event ends its validity."""
+    """Returns a text that states until which time linear analysis applies, and which event ends the validity of this analysis."""
     agreement = run.agreement
     if not math.isfinite(agreement.until):
         return "over the whole run"
@@ -193,15 +193,16 @@ def _when(run: RunResult) -> str:
 
 
 def verdicts(runs: Iterable[RunResult], where: str = "") -> tuple[Statement, ...]:
-    """Returns the verdicts on runs, preceded by the text `where`. Runs with the same verdict share a statement."""
+    """Returns the verdicts on runs, preceded by the text `where`. Runs with the same verdict are combined in one statement."""
     return share_statements(((run.controller.name, verdict(run)) for run in runs), where)
 
 
 def share_statements(said: Iterable[tuple[str, Statement]], where: str = "") -> tuple[Statement, ...]:
-    """Returns statements about several controllers. Equal statements are merged; if their times differ, the range is given.
+    """Returns statements about several controllers. Statements that are equal except for times are merged, and the merged
+    statement contains the range of the times.
 
     Args:
-        said: pairs of the name of a controller and a statement about it.
+        said: pairs of the name of a controller and a statement about this controller.
         where: text that precedes each statement.
     """
     pairs, alike = list(said), dict[Statement, list[tuple[str, list[str]]]]()
@@ -221,7 +222,10 @@ def share_statements(said: Iterable[tuple[str, Statement]], where: str = "") -> 
 
 
 def joined_names(names: Sequence[str]) -> str:
-    """Returns the names of runs for a statement. Names of several vehicles, `VEHICLE:CONTROLLER`, are grouped by vehicle."""
+    """Returns the names of several runs as text for a statement.
+
+    Names of the form `VEHICLE:CONTROLLER` are grouped by vehicle.
+    """
     by_vehicle: dict[str, list[str]] = {}
     for name in names:
         vehicle, _, controller = name.rpartition(":")
@@ -232,10 +236,10 @@ def joined_names(names: Sequence[str]) -> str:
 def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     """Returns sentences on a run: its events, checks, differences from linear analysis, and energy balance.
 
-    If a run passes and remains in the linear range, all sentences about it count as details.
+    If a run passes all checks and remains in the linear range, all sentences about this run count as details.
 
     Args:
-        full: False to omit the details, because computing them requires the linear responses.
+        full: False to omit the details, because the linear responses would have to be computed for them.
     """
     detail: Detail = "full" if run.passed and math.isinf(run.diverged) and not run.prediction.radius >= 1 else "normal"
     contact = FEATURES.load("stops that a run reaches").stop_note(run) if run.vehicle.parts.strokes else ""
@@ -250,7 +254,7 @@ def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
 
 
 def _events(run: RunResult) -> Iterator[str]:
-    """Yields sentences on the events of a run: instability, lift-off, and limits."""
+    """Yields sentences on the events of a run: instability, lift-off, and limits that were reached."""
     agreement, times, radius, vehicle = run.agreement, run.agreement.end_times, run.prediction.radius, run.vehicle
     if radius > 1:
         how = ", by direct feedback of its own force" if law_margins(vehicle, run.controller).own_force else ""
@@ -326,7 +330,7 @@ def _check(subject: str, what: str, one: LocalAgreement) -> Statement:
 
 
 def _distance(run: RunResult) -> Iterator[Statement]:
-    """Yields sentences on the differences from linear analysis and their cause."""
+    """Yields sentences on a run's differences from linear analysis, and on the cause of these differences."""
     agreement, signals = run.agreement, run.agreement.signals
     if not run.prediction.is_linear:
         yield Statement(f"{NO_REFERENCE}: a law that sets semi-active dampers is not linear, even at small amplitudes")
@@ -370,7 +374,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
 
 
 def _balance(run: RunResult) -> Iterator[Statement]:
-    """Yields a sentence on the energy balance of a run if it is known."""
+    """Yields a sentence on the energy balance of a run if this balance was computed."""
     energy = run.energy
     if energy is None:
         return
@@ -407,7 +411,7 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
 
 
 def sentences(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
-    """Returns sentences on the verdict, the controller, its free decay, and the reasons for the verdict; see `reasons`."""
+    """Returns sentences on the verdict, the controller, a free decay, and the reasons for the verdict; see `reasons`."""
     controller, code = run.controller, run.agreement.code_effect
     margins = law_margins(run.vehicle, controller)
     warning = margins.instability or margins.own_force or margins.small
@@ -430,8 +434,8 @@ def sentences(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:
     """Returns the table of all signals: peak and rms in MuJoCo, changes from the passive vehicle, and errors of linear analysis.
 
-    Peak and rms refer to the whole run. Errors are measured as long as linear analysis applies, relative to the peak.
-    Pages and logs also contain peak and rms of the linear responses.
+    Peak and rms of a signal refer to the whole run. Errors of linear analysis are measured as long as the analysis applies,
+    relative to the signal's peak. On pages and in logs, the table also contains peak and rms of the linear responses.
     """
     rows, on = [], run.prediction.input
     # On a flat road, only rounding errors cause motion
@@ -465,7 +469,9 @@ def checks_table(runs: Sequence[RunResult]) -> Table:
 
 
 def events(run: RunResult) -> tuple[tuple[float, str], ...]:
-    """Returns lift-offs, landings, the first bump stop and saturation, divergence and overflow, with their times [s]."""
+    """Returns the events of a run with their times [s]: lift-offs, landings, the first bump stop and saturation, divergence,
+    and overflow.
+    """
     happened = [(start, LIFT_OFF.event) for start, _ in run.agreement.lift_off]
     happened += [(end, "landing") for _, end in run.agreement.lift_off]
     if math.isfinite(run.diverged):

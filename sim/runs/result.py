@@ -1,4 +1,4 @@
-"""Results of runs: the simulation, its prediction, and their comparison."""
+"""Results of runs: the simulated response, the linear prediction, and a comparison of both."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -27,13 +27,16 @@ ADVICE = {  # advice to the user by reason why the checks of a run are undecided
 
 @dataclass(frozen=True)
 class HalfStep:
-    """Change of the simulated response at half the time step, with the same sample period, after a tyre has left the ground.
+    """Change of the simulated response, after a tyre has left the ground, if the time step is halved but the controller's
+    sample period is not.
 
-    After a lift-off, no linear response is exact, and RK4 steps over the times at which a tyre leaves the ground and lands.
+    After a lift-off, no linear response is exact, and RK4 does not resolve the times at which a tyre leaves the ground and
+    lands.
 
     Attributes:
-        difference: largest difference of all signals, relative to the peak of the signal; infinite if one of the runs diverged.
-        signal: name of the signal that has this difference.
+        difference: largest difference among all signals, each relative to the signal's peak; infinite if one of the two runs
+            diverged.
+        signal: name of the signal with the largest difference.
     """
 
     difference: float
@@ -42,16 +45,16 @@ class HalfStep:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunResult:
-    """Simulated run with its prediction.
+    """Simulated run with the linear prediction of this run.
 
     Attributes:
-        prediction: linear responses of the run, for its vehicle, controller and road.
+        prediction: linear responses for the vehicle, controller and road of the run.
         physics: response simulated by MuJoCo.
-        agreement: comparison of the simulation with analysis.
+        agreement: comparison of the simulation with linear analysis, and checks of steps and commands.
         qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run; None if the energy balance is not computed.
-        energy: energy balance of the run; None if it is not computed.
+        energy: energy balance of the run; None if no energy balance was computed.
         half_step: accuracy of the simulation after a lift-off; None if no tyre lifted off, or if the run became invalid. With
-            noisy or quantised measurements, the value is also None, because noise and quantisation depend on the time step.
+            noisy or quantised measurements, `half_step` is also None, because noise and quantisation depend on the time step.
     """
 
     prediction: Prediction
@@ -63,14 +66,16 @@ class RunResult:
 
     @property
     def broke_off(self) -> tuple[str, float] | None:
-        """Event after which all results are meaningless, with its time [s]; None if there is no such event."""
+        """Event after which all results of the run are meaningless, with the time [s] of this event; None if there is no such
+        event.
+        """
         ends = {FLAT.name: self.agreement.end_times[FLAT.name], broken_by(self.physics): self.physics.diverged}
         first = min(ends, key=lambda name: ends[name])
         return (first, ends[first]) if math.isfinite(ends[first]) else None
 
     @property
     def vehicle(self) -> Vehicle:
-        """Vehicle with the limits and the implementation of this run."""
+        """Vehicle with the limits and the implementation that hold in this run."""
         return self.prediction.vehicle
 
     @property
@@ -87,7 +92,7 @@ class RunResult:
     def sampled(self) -> Response:
         """Response of the sampled loop.
 
-        The response is exact if the loop is linear; with characteristics, it is the response of RK4.
+        The response of a linear loop is exact; if dampers or springs have characteristics, the response is computed by RK4.
         """
         return self.prediction.sampled
 
@@ -98,11 +103,12 @@ class RunResult:
 
     @cached_property
     def line_errors(self) -> Mapping[str, float]:
-        """Largest difference between the linearisation at equilibrium and MuJoCo, relative to MuJoCo's peak, by signal.
+        """Largest difference between the response of the linearised vehicle and MuJoCo, relative to the peak in MuJoCo, by
+        signal.
 
         The difference is measured up to `agreement.until`, the time until which linear analysis applies. The mapping is empty
-        for a vehicle without characteristics, or without a sampled response. States of parts with a kink at equilibrium are
-        omitted.
+        for a vehicle without characteristics, or without a sampled response. Internal states of parts whose characteristic has
+        a kink at equilibrium are omitted.
         """
         if (line := self.prediction.linearised) is None or self.agreement.until <= 0:
             return {}
@@ -115,24 +121,24 @@ class RunResult:
 
     @property
     def diverged(self) -> float:
-        """Time at which the simulation diverged [s]; infinite if it did not."""
+        """Time at which the simulation diverged [s]; infinite if the simulation did not diverge."""
         return self.physics.diverged
 
     @property
     def undecided(self) -> tuple[str, ...]:
-        """Reasons why the checks cannot confirm the run: a time step that is too coarse, or a law that is not repeatable."""
+        """Reasons why the checks cannot confirm the run: the time step is too coarse, or the control law is not repeatable."""
         commands = self.agreement.commands
         coarse = self.agreement.coarse or (self.energy is not None and not self.energy.judged)
         return (*[COARSE] * coarse, *[NOT_REPEATABLE] * (commands is not None and not commands.repeatable))
 
     @property
     def agrees(self) -> bool | None:
-        """True if the simulation agrees with analysis, as long as the analysis applies; None if the run is `undecided`."""
+        """True if the simulation agrees with the model (see `Agreement.agrees`); None if the checks are `undecided`."""
         return None if self.agreement.agrees and self.undecided else self.agreement.agrees
 
     @property
     def warnings(self) -> Iterator[str]:
-        """Warnings about the run and about its road."""
+        """Warnings about the run and about the road."""
         yield from (f"controller {self.controller.name!r}: agrees is None, as {why}; {ADVICE[why]}" for why in self.undecided)
         yield from self.road.warnings
 

@@ -40,7 +40,7 @@ STIFF = 1e-4  # s; a vehicle that needs a shorter time step is probably not give
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(RunResult, ShownResult):
-    """Simulated run with its prediction, which can be displayed at a prompt and in a notebook.
+    """Simulated run with its linear prediction, which can be displayed at a Python prompt and in a notebook.
 
     The attributes are those of `RunResult`.
     """
@@ -60,7 +60,7 @@ class Run(RunResult, ShownResult):
 
     @property
     def figures(self) -> tuple[Block, ...]:
-        """Table of the peak and rms of all signals, and a plot of the first weighted signal over time."""
+        """Table of the peak and rms of all signals, and a plot of the first signal with a weight over time."""
         from models.document.figure import BLUE, Figure, Style
         from sim.runs.report import signal_table
 
@@ -73,7 +73,7 @@ def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
     """Returns the sample times 0, h, 2 h, ... up to the duration [s].
 
     Args:
-        vehicle: vehicle for which RK4 must be stable at this time step.
+        vehicle: vehicle for which RK4 must be stable with the time step h.
         duration: duration of the run [s].
         timestep: time step h [s].
 
@@ -132,7 +132,7 @@ def run_controllers(
 
     Args:
         time: equidistant sample times from 0 [s], see `sample_times`.
-        balanced: False to omit positions, energy, and the comparison with half the time step.
+        balanced: False to omit the positions, the energy balance, and the comparison with a run at half the time step.
     """
     recordings = record([Case(vehicle.with_actuators_of(one.name), one, road) for one in controllers], time)
     each = zip(controllers, recordings, strict=True)
@@ -141,7 +141,7 @@ def run_controllers(
 
 
 def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Response:
-    """Returns MuJoCo's response of the passive vehicle from one of the runs, or from a new run.
+    """Returns MuJoCo's response of the passive vehicle, from one of the runs if possible, otherwise from a new run.
 
     Args:
         runs: runs of several controllers over one road.
@@ -155,13 +155,13 @@ def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> 
 
 
 def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recording]) -> list[Run]:
-    """Returns the verdicts on runs.
-
-    A run with exported code is also compared with the run of the law itself. If a vehicle type has rotating bodies but no
-    equations of motion, its run is also compared with a run on a lower road. This function simulates these additional runs.
+    """Returns the runs with a verdict on each run. A run with exported code is also compared with a run in which the control
+    law itself computes the forces. For a vehicle type with rotating bodies but without equations of motion, a run on a lower
+    road is also compared with linear analysis. This function also simulates the additional runs with the control law itself and
+    on the lower road.
 
     Args:
-        predictions: predictions over the same sample times, for vehicles of the same type.
+        predictions: predictions of the runs, which have the same sample times and vehicles of the same type.
         recordings: recordings of the simulated runs, in the order of the predictions.
     """
     effects = _code_effects(predictions, recordings)
@@ -183,7 +183,7 @@ def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recordi
 
 
 def _code_effects(predictions: Sequence[Prediction], recordings: Sequence[Recording]) -> "dict[int, CodeEffect]":
-    """Returns the effects of exported code on the runs with exported code, by index of the run."""
+    """Returns the effect of exported code on each run with exported code, by index of the run."""
     coded = [i for i, one in enumerate(predictions) if one.controller.code is not None]
     if not coded:
         return {}
@@ -199,14 +199,15 @@ def _code_effects(predictions: Sequence[Prediction], recordings: Sequence[Record
 
 
 def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[Run]:
-    """Adds to runs: the positions, the energy balance and, after a lift-off, the change of the response at half the time step.
+    """Adds to each run the positions, the energy balance and, after a lift-off, the change of the response if the time step is
+    halved.
 
-    A run with an unusually large residual in its energy balance is also repeated at half the time step. If the run is noisy,
-    its commands are repeated.
+    A run whose energy balance has an unusually large residual is also repeated at half the time step. If a run has noise, the
+    repeated run uses the same commands.
 
     Args:
-        runs: runs over the same sample times, with vehicles of the same type.
-        recordings: recordings of the same runs.
+        runs: runs with the same sample times and with vehicles of the same type.
+        recordings: recordings of the runs, in the same order.
     """
     energy: Callable[..., Energy | None] = OBSERVERS.load_if_known("energy") or (lambda run, until: None)
     runs = [
@@ -232,12 +233,11 @@ def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) ->
 def _simulate_predictions(
     predictions: Sequence[Prediction], time: Array, vehicle: Callable[[Vehicle], Vehicle], share: float = 1.0
 ) -> list[Recording]:
-    """Simulates the runs of predictions; on request, with changed vehicles or with the road height multiplied by the factor
-    `share`.
+    """Simulates the runs to which predictions belong, with vehicles changed by the function `vehicle` and road heights
+    multiplied by `share`.
 
-    Runs that share a vehicle or a road still share it after the changes. The commands of a Python control law, or of a noisy
-    run, are repeated. If the road height is multiplied by the factor `share`, the repeated forces are multiplied by the same
-    factor.
+    Runs that share a vehicle or a road object also share the changed object. If a run has noise or a Python control law, its
+    recorded commands are repeated. The repeated forces are also multiplied by the factor `share`.
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
@@ -251,7 +251,8 @@ def _simulate_predictions(
 
 
 def replay_driver(prediction: Prediction, time: Array, share: float = 1.0) -> "RunDriver":
-    """Returns the driver that repeats a run: the law, or the commands if the law would respond differently at another time step.
+    """Returns the driver that repeats a run: the control law or, if the law would respond differently at a different time step,
+    the recorded commands.
 
     Args:
         time: sample times of the repeated run [s]. The time step of the prediction is an integer multiple of the time step of
@@ -269,13 +270,13 @@ def replay_driver(prediction: Prediction, time: Array, share: float = 1.0) -> "R
 
 
 def _sampled_as_before(vehicle: Vehicle, timestep: float) -> Vehicle:
-    """Returns the vehicle with an explicit sample period, so that it can be simulated at another time step."""
+    """Returns the vehicle with an explicit sample period, so that a different time step does not change the sample period."""
     period = vehicle.implementation.sample_period or timestep
     return replace(vehicle, implementation=replace(vehicle.implementation, sample_period=period))
 
 
 def _half_step(run: Run, finer: Response) -> HalfStep:
-    """Compares a simulated run with the same run at half the time step, from its first lift-off on."""
+    """Compares a simulated run, from the first lift-off on, with the same run at half the time step."""
     lifted = run.physics.time >= run.agreement.lift_off[0][0]
     apart = {
         name: float(np.abs(run.physics[name] - finer[name][::2])[lifted].max()) / (run.physics.scale(name) or 1.0)

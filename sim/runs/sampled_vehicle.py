@@ -1,4 +1,4 @@
-"""Vehicle with other values for its parameters, semi-active dampers and force elements."""
+"""Vehicle in which new values replace those of parameters, semi-active dampers and force elements."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,9 +12,10 @@ OF_DAMPERS = (*CURVE_KEYS, "bandwidth")  # keys of [actuators], in addition to p
 
 
 def damper_numbers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
-    """Returns, by name, the damper parameters that can be varied, each with its value and the forces of its dampers.
+    """Returns, by name, the damper parameters that can be varied, each with its value and the names of the damper forces to
+    which it belongs.
 
-    There is one entry for each damper whose value is a number, and one for all dampers together if their values are equal.
+    A parameter has one entry for each damper whose value is a number, and one entry for all dampers if all values are equal.
     """
     quantities: dict[str, tuple[float, list[str]]] = {}
     for name in OF_DAMPERS:
@@ -29,7 +30,7 @@ def damper_numbers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
 
 
 def with_sample(vehicle: Vehicle, sample: Mapping[str, float]) -> Vehicle:
-    """Returns a vehicle with other values of parameters, semi-active dampers and force elements, by name [SI]."""
+    """Returns a vehicle with new values of parameters, semi-active dampers and force elements, given by name in `sample` [SI]."""
     if not sample:
         return vehicle
     known, dampers = damper_numbers(vehicle), dict(vehicle.dampers)

@@ -17,8 +17,8 @@ def run_columns(name: str, responses: Mapping[str, Response]) -> Iterator[Column
     """Yields the columns of a run with the headings `SIGNAL NAME SOURCE [UNIT]`, signal by signal.
 
     Args:
-        name: name of the run, usually that of its controller.
-        responses: responses by source, for example "mujoco", all at the same sample times, which start at 0.
+        name: name of the run, usually the name of the controller.
+        responses: responses of the run by source, for example "mujoco", all at the same sample times, which start at 0.
     """
     for signal in dict.fromkeys(signal for response in responses.values() for signal in response.signals):
         for source, response in responses.items():
@@ -27,13 +27,15 @@ def run_columns(name: str, responses: Mapping[str, Response]) -> Iterator[Column
 
 
 def write_runs(path: Path, runs: Sequence[RunResult]) -> None:
-    """Writes the simulated and the exact sampled signals of runs over one road. Errors as for `write_columns`."""
+    """Writes the simulated signals and the exact sampled signals of runs over one road to a CSV file. The errors are those of
+    `write_columns`.
+    """
     each = (run_columns(run.controller.name, {"mujoco": run.physics, "sampled": run.sampled}) for run in runs)
     write_columns(path, runs[0].prediction.time, list(itertools.chain(*each)))
 
 
 def write_columns(path: Path, time: Array, columns: Sequence[Column]) -> None:
-    """Writes columns of numbers over time to a CSV file. Cells without a finite number, and cells after the end of a column,
+    """Writes the time and columns of numbers to a CSV file. Cells without a finite number, and cells after the end of a column,
     are empty.
 
     Args:

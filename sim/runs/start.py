@@ -1,10 +1,10 @@
-"""Estimates how the unknown road before a measured road affects the peaks of a run.
+"""Estimates how the unknown road before the start of a measured road affects the peaks of a run.
 
 A simulated vehicle starts in steady motion on the plane that is fitted to the first 11 m of the road. In reality, the vehicle
-comes from a road that was not measured. This road may be as rough as the measured road itself. The model of the unknown road is
-the measured road, rotated by 180 degrees about its first point. The two roads therefore meet without a jump or a kink. The
-vehicle without control arrives from this road in a certain state. The difference between this state and the steady motion
-decays in the closed loop of the run, and affects the run until it has decayed.
+comes from a road that was not measured. The road that was not measured may be as rough as the measured road. The unknown road
+is modelled as the measured road, rotated by 180 degrees about its first point. The unknown road therefore joins the measured
+road without a jump or a kink. The state in which the vehicle arrives from the unknown road is computed without control. The
+difference between the arrival state and the steady motion affects the run until it has decayed in the closed loop.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,8 @@ ROUNDING_FACTOR = 1e3
 
 
 def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
-    """Returns the largest effect of the start on a peak of a weighted signal, as a share of the peak, and this peak as text.
+    """Returns the largest effect of the initial state on a peak of a weighted signal, as a fraction of this peak, and a text
+    that describes the peak.
 
     Returns None if the effect is at most 2 %.
     """
@@ -64,10 +65,10 @@ def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
 
 
 def start_lines(runs: Sequence[RunResult], later: bool) -> list[str]:
-    """Returns a remark on the effect of the start on a peak if it exceeds 2 %.
+    """Returns a remark on the effect of the initial state on a peak if this effect exceeds 2 %.
 
     Args:
-        later: True if the runs start after the beginning of the road file, so that an earlier start is possible.
+        later: True if the runs start after the beginning of the measured road, so that they could also start earlier.
     """
     effect = start_effect(runs)
     if effect is None:

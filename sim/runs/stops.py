@@ -1,4 +1,4 @@
-"""Bump stops that are reached in a run: compression, force and time of the deepest contact."""
+"""Bump stops that a suspension reaches in a run: compression, force and time of the deepest contact."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ class Touch:
     """Deepest contact of a suspension with one of its stops.
 
     Attributes:
-        side: side of the suspension on which the stop is, one of `SIDES`.
+        side: end of the suspension's stroke at which the stop is, one of `SIDES`.
         squeeze: compression of the stop, which is the travel beyond the free stroke [m].
         force: force of the stop at this compression [N].
         time: time of the deepest contact [s].
@@ -39,9 +39,10 @@ TIME = Field[Touch]("time", lambda one: one.time, WHEN.form, key="time", unit="s
 
 
 def touches(run: RunResult) -> dict[str, dict[str, Touch | None]]:
-    """Returns the deepest simulated contact with each stop, by deflection and side; None if there was no contact.
+    """Returns the deepest simulated contact with each stop, by name of the deflection and by side; None for a stop without
+    contact.
 
-    Only the part of a run before the run becomes invalid is considered.
+    Contacts after a run has become invalid are ignored.
     """
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
     contacts: dict[str, dict[str, Touch | None]] = {}
@@ -70,7 +71,7 @@ STOPS = Record(SQUEEZE, FORCE, TIME).all(touches)
 
 
 def stop_note(run: RunResult) -> str:
-    """Returns a sentence on the hardest contact of a run with the stops on each side; empty without a contact."""
+    """Returns a sentence on the hardest contact with the stops on each side in a run; empty if there was no contact."""
     corners, reached, words = {part.deflection: part.corner for part in run.vehicle.kind.suspensions}, touches(run), []
     for side in SIDES:
         contacts = [(touch, corners[name]) for name, sides in reached.items() if (touch := sides.get(side)) is not None]

@@ -1,4 +1,6 @@
-"""Plots of signals over time. Lines show analysis, and points show MuJoCo; after the linear regime, lines show MuJoCo."""
+"""Plots of signals over time. Lines show linear analysis, and points show MuJoCo; after the end of the linear regime, lines
+also show MuJoCo.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,13 +27,13 @@ MOST_SWINGS = 80
 
 @dataclass(frozen=True, eq=False)
 class _Trace:
-    """One signal of one run over a part of the time.
+    """One signal of one run in the time interval that is plotted.
 
     Attributes:
         run: run to which the signal belongs.
         name: name of the signal.
-        bounded: True if the run remains valid and its loop is not unstable.
-        line: linear response; up to the end of the linear regime if the run is not bounded.
+        bounded: True if the run remains valid to its end and the loop is not unstable.
+        line: linear response; if the run is not bounded, only up to the end of the linear regime.
         physics: simulated response, up to the time at which the run becomes invalid.
     """
 
@@ -48,7 +50,9 @@ class _Trace:
 
     @property
     def values(self) -> Array:
-        """Values that the axis must contain. If the run is not bounded, the values end with the linear regime."""
+        """Values of this run that the axis must contain. If the run is not bounded, the axis must contain only the values in
+        the linear regime.
+        """
         physics = self.physics if self.bounded else self.physics.until(self.until)
         return np.concatenate([self.line[self.name], physics[self.name]])
 
@@ -61,8 +65,8 @@ class _Trace:
     def curves(self, style: Style, width: float, every: int, left: float) -> list[Curve]:
         """Returns lines, and points at about every `every`-th sample, until the signal leaves the axis.
 
-        The line shows the linear response until the linear regime ends, and the simulation after that. After the linear regime,
-        a thin line continues the linear response.
+        The line shows the linear response until the linear regime ends, and then the simulation. After the end of the linear
+        regime, a thin line continues the linear response.
         """
         who, curves = self.run.controller.name, []
         line, physics = (response.until(np.nextafter(left, math.inf)) for response in (self.line, self.physics))
@@ -92,7 +96,9 @@ def _line(time: Array, values: Array, style: Style, width: float, label: str, na
 
 
 def _marker_indices(values: Array, every: int) -> Array:
-    """Returns the indices of samples to mark: about every `every`-th sample, at a peak if one is near, and both extremes."""
+    """Returns the indices of samples to mark: about every `every`-th sample, moved to a nearby peak if possible, and the
+    largest and smallest value.
+    """
     if not len(values):
         return np.zeros(0, dtype=int)
     marked = [int(values.argmax()), int(values.argmin())]
@@ -112,13 +118,13 @@ def history_panels(
 ) -> list[Panel]:
     """Returns a panel for each weighted or measured signal that moves.
 
-    An unstable run, or a run that becomes invalid, does not enlarge the axis. Such a run is drawn until its signal leaves the
-    axis, and the title gives this time.
+    An unstable run, or a run that becomes invalid, does not enlarge the axis of a panel. An unstable or invalid run is drawn
+    until its signal leaves the axis, and the title states this time.
 
     Args:
         runs: runs over one road.
         looks: colour and line style of each controller, by name.
-        during: start and end of the part of the time that is drawn [s]; None for the whole time.
+        during: start and end of the time interval that is plotted [s]; None for the whole run.
         measured: measured signals over the time of the runs, if any.
     """
     panels = []
@@ -153,7 +159,7 @@ def history_panels(
 
 
 def _end(runs: Sequence[RunResult]) -> float:
-    """Returns the end of the last run if all runs became invalid, otherwise the end of the road [s]."""
+    """Returns the time at which the last run became invalid if all runs did, otherwise the end of the simulated time [s]."""
     whole = float(runs[0].prediction.time[-1])
     return min(whole, max(run.broke_off[1] if run.broke_off is not None else whole for run in runs)) or whole
 
@@ -165,7 +171,9 @@ def _weighted_signals(runs: Sequence[RunResult]) -> dict[str, Signal]:
 
 
 def _moves(run: RunResult, name: str) -> bool:
-    """Returns False if the vehicle does not have the signal, or the signal is zero, like roll on a symmetrical road."""
+    """Returns False if the vehicle does not have the signal, or if the signal is always zero, like the roll angle on a
+    symmetrical road.
+    """
     if not any(signal.name == name for signal in run.physics.signals):
         return False
     peak = float(run.physics.peak(name))
@@ -193,8 +201,8 @@ def _swings(values: Array) -> int:
 def history_figure(runs: Sequence[RunResult], where: str, measured: Response | None = None) -> Figure | None:
     """Returns the figure of runs over one road, with lines for the sampled loop; None if nothing moves.
 
-    In a long run, the lines are too dense to distinguish. The figure therefore also shows panels of the hardest part of the
-    run.
+    In a long run, the lines are too dense to distinguish. For a long run, the figure therefore also has panels that show only
+    the hardest part of the run.
 
     Args:
         where: text that describes the road and follows the word "over".
@@ -224,9 +232,10 @@ def history_figure(runs: Sequence[RunResult], where: str, measured: Response | N
 
 
 def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:
-    """Returns the part of the time around the largest peak of the first weighted signal [s]; None if no such part is needed.
+    """Returns the time interval around the largest peak of the first weighted signal [s]; None if the whole run can be shown
+    clearly.
 
-    This part contains about `MOST_SWINGS` oscillations of the signal that oscillates most often.
+    This time interval contains about `MOST_SWINGS` oscillations of the signal that oscillates most often.
     """
     weighed = list(_weighted_signals(runs))
     bounded_runs = [run for run in runs if _stays_bounded(run)]
@@ -243,12 +252,12 @@ def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:
 
 
 def _stays_bounded(run: RunResult) -> bool:
-    """Returns True if a run has not become invalid, and its loop is not known to be unstable."""
+    """Returns True if a run has not become invalid, and the loop is not known to be unstable."""
     return run.broke_off is None and not run.prediction.radius >= 1  # for a loop that is not linear, the spectral radius is NaN
 
 
 def _least(runs: Sequence[RunResult]) -> str:
-    """Returns a sentence that states which run has the lowest peak acceleration; empty for a single run."""
+    """Returns a sentence that states which run has the lowest peak acceleration; empty if fewer than two runs can be compared."""
     name = next((name for name in runs[0].vehicle.performance if name.endswith("acceleration")), "")
     whole = [run for run in runs if name in {signal.name for signal in run.physics.signals} and run.broke_off is None]
     if len(whole) < 2:
@@ -261,10 +270,10 @@ def _least(runs: Sequence[RunResult]) -> str:
 
 
 def _seen(traces: Sequence[_Trace]) -> list[Array]:
-    """Returns the values that an axis must contain. Values of unbounded runs are clipped to three times the range of the bounded
-    runs.
+    """Returns the values of all runs that the axis of a panel must contain. Values of runs that are not bounded are clipped to
+    three times the range of the bounded runs.
 
-    If no run is bounded, the values of the linear regime are used instead.
+    If no run is bounded, the clipping range follows from the values in the linear regime.
     """
     within = [one.values for one in traces if one.bounded and len(one.values)]
     alone = not within

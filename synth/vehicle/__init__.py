@@ -1,1 +1,3 @@
-"""Controllers of a vehicle file: design methods, trade-offs, sample rates, the paper's controllers, and python-control."""
+"""Controllers of a vehicle file: design methods, trade-offs, sample rates, the paper's controllers, and conversion to and from
+python-control.
+"""

@@ -16,7 +16,9 @@ CHANGED_VEHICLE = "the vehicle is no longer the one that was certified: "
 
 
 def vehicle_record(vehicle: Vehicle) -> dict[str, dict[str, float]]:
-    """Returns the vehicle's numbers on which a certificate depends, in SI units, by section of the vehicle file and by name."""
+    """Returns the vehicle's data on which a certificate depends, as numbers in SI units, by section of the vehicle file and by
+    name.
+    """
     how, lag = vehicle.implementation, vehicle.limits.actuator_bandwidth
     computer = {"sample_period": how.sample_period or 0.0, "delay": how.delay}
     return {
@@ -28,7 +30,8 @@ def vehicle_record(vehicle: Vehicle) -> dict[str, dict[str, float]]:
 
 
 def changed_since(vehicle: Vehicle, entry: ControllerEntry) -> str:
-    """Describes how a vehicle differs from the certified vehicle. The result is empty if the difference is not known.
+    """Describes, as text, how a vehicle differs from the certified vehicle. The description is empty if the difference between
+    the vehicles is not known.
 
     Args:
         vehicle: vehicle from the vehicle file.
@@ -47,7 +50,7 @@ def changed_since(vehicle: Vehicle, entry: ControllerEntry) -> str:
 
 
 def _differences(vehicle: Vehicle, then: Mapping[str, Any]) -> list[str]:
-    """Describes the numbers that differ from the numbers of the certified vehicle."""
+    """Describes which numbers of a vehicle differ from those of the certified vehicle."""
     texts, units = list[str](), {one.name: f" {one.unit}" for one in vehicle.kind.parameters}
     for section, now in vehicle_record(vehicle).items():
         before = then.get(section, {})

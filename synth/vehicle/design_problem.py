@@ -31,13 +31,13 @@ STATE_ALONE = (
 
 
 def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Problem, lower_bound: "LowerBound") -> DesignProblem:
-    """Returns the design problem of a controller's section without goals.
+    """Returns the design problem that a controller's section without goals defines.
 
     Args:
         vehicle: vehicle whose file contains the section.
         entry: controller's section, which defines the design.
         plant_problem: plant and measurements for which the controller is certified.
-        lower_bound: lower bound on the norm for any controller with these measurements.
+        lower_bound: lower bound on the norm for any controller with the same measurements.
 
     Raises:
         InputError: the controller of a preview design does not measure every state, or a design for the sampled-data loop has
@@ -95,19 +95,20 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Prob
 
 
 def certify_ideal_loop(problem: Problem, lower_bound: "LowerBound") -> Callable[[LinearLaw], Certificate]:
-    """Returns a function that certifies a law on the measurements for the ideal loop."""
+    """Returns a function that certifies, for the ideal loop, a control law that acts on the measurements."""
     from synth.analysis.bounding import certify_tightly
 
     return lambda law: certify_tightly(*problem.closed_loop(law), lower_bound, plant_without_law=problem.plant)
 
 
 def white_noise(vehicle: Vehicle, entry: ControllerEntry, problem: Problem) -> list[float] | None:
-    """Returns, for LQG, the white-noise intensity of each measurement that depends on the state; None if there is no noise.
+    """Returns, for an LQG design, the white-noise intensity of each measurement that depends on the state; None if there is no
+    noise.
 
-    Noise of rms sigma that is sampled every T seconds corresponds to white noise of intensity sigma sqrt(T).
+    Noise of rms sigma in samples that are T seconds apart corresponds to white noise of intensity sigma sqrt(T).
 
     Raises:
-        DesignError: noise is given without a sample period T.
+        DesignError: the measurements have noise, but no sample period T is defined.
     """
     if entry.request.design != "lqg":
         return None
@@ -125,7 +126,7 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, problem: Problem) -> l
 def controller_of(
     vehicle: Vehicle, entry: ControllerEntry, plant_problem: Problem, problem: DesignProblem, result: DesignResult
 ) -> Controller:
-    """Returns the controller that follows from the result of a design. The law of the controller acts on the sensor signals."""
+    """Builds a controller from the result of a design. The control law of this controller acts on the sensor signals."""
     law, remarks = problem.as_run(result.law), result.remarks
     redundant = tuple(entry.measured[i] for i in result.redundant if i < len(entry.measured))
     if entry.request.sampled:
@@ -156,7 +157,7 @@ def controller_of(
 
 
 def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
-    """Describes the H2 norm that the design minimises."""
+    """Describes, as text, the H2 norm that a design minimises."""
 
     at_once = FEATURES.load("H2 designs").AT_ONCE if np.any(problem.plant.Dw) else ""
     of_white_noise = "the rms of z if road velocity is white noise of intensity 1"
@@ -173,9 +174,10 @@ def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
 
 
 def _on_roads(vehicle: Vehicle, ahead: "RoadPreview") -> "RoadPreview":
-    """Converts a preview of the plant's disturbances to a preview of the roads.
+    """Converts a preview of the plant's disturbances to a preview of the road under each wheel.
 
-    The road's warp is a disturbance in addition to the road velocities (`generalized_plant`), and it is also known in advance.
+    In addition to the road velocities, the road's warp is a disturbance of the plant (`generalized_plant`); the warp is also
+    known in advance.
     """
 
     model = vehicle.linear_model

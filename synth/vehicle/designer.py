@@ -1,6 +1,6 @@
-"""Design of the controllers of a vehicle file: from the name of a controller to a certified law.
+"""Design of the controllers of a vehicle file: the name of a controller leads to a certified control law.
 
-Several designs of one vehicle share intermediate results. Start reading at `Designer`.
+Several designs of one vehicle share intermediate results. The main class of this module is `Designer`.
 """
 
 import contextlib
@@ -41,9 +41,9 @@ NOT_REFINED = "but --refine changes static gains, which have no integral; omit -
 
 
 class SharedDesignData:
-    """Plant, central path and bounds that all designs for a vehicle and its actuators share.
+    """Plant, central path and bounds that all designs for a vehicle with the same actuators share.
 
-    Each item is computed when it is first used.
+    Plant, central path and bounds are computed when they are first used.
 
     Attributes:
         plant: plant without measurement noise.
@@ -57,29 +57,30 @@ class SharedDesignData:
 
     @cached_property
     def state_path(self) -> list[CentralPoint]:
-        """Central path of (22). Measurement noise has no effect on this path, because the state is assumed to be known."""
+        """Central path of (22). Measurement noise has no effect on the central path, because the state is assumed to be known."""
         return state_path(self.plant, self.states)
 
     @cached_property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound on the norm from the invariant point, a frequency at which no control can change a direction of z. This
-        bound holds for any measurements without noise.
+        """Lower bound on the norm from the invariant point, a frequency at which no control can change a direction of z. The
+        lower bound holds for any measurements without noise.
         """
         return FEATURES.load("lower bounds").bound_beyond_control(self.plant)
 
     def problem(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> Problem:
-        """Returns the control problem of a controller with these measured signals and this measurement noise.
+        """Returns the control problem of a controller that measures the signals `measured` with the noise `noise`.
 
         Raises:
-            InputError: the vehicle does not have a measured signal.
+            InputError: the vehicle does not have one of the measured signals.
         """
         return problem(self.vehicle, measured, replace(self.hardware, noise=noise), self.plant)
 
     def lower_bound(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> "LowerBound":
-        """Returns the lower bound on the norm for controllers of any order with these measurements and this noise.
+        """Returns the lower bound on the norm for controllers of any order that measure the signals `measured` with the noise
+        `noise`.
 
-        If there are no measurements, the bound for state feedback is returned. If heights above a datum are measured, the bound
-        for any measurements is returned.
+        If the controller has no measurements, the lower bound for state feedback is returned. If the controller measures
+        heights above a datum, the lower bound for any measurements is returned.
         """
         key = tuple(measured), noise
         if self.vehicle.linear_model.over_datum(measured):
@@ -100,7 +101,7 @@ class SharedDesignData:
 class Designer:
     """Designs the controllers of one vehicle.
 
-    The state-feedback step (22) is shared by all designs and solved when it is first used.
+    All designs share the solution of the state-feedback problem (22), which is computed when it is first used.
 
     Args:
         vehicle: vehicle whose file defines the controllers.
@@ -120,11 +121,11 @@ class Designer:
         self._pushing: Designer | None = None
 
     def __repr__(self) -> str:
-        """Returns the type and the file of the vehicle as text."""
+        """Returns text that states the type and the file of the vehicle."""
         return f"Designer of {self.vehicle.summary.title}"
 
     def shared(self, hardware: DesignConditions = NOMINAL) -> SharedDesignData:
-        """Returns the data that all designs for these actuators and loads share."""
+        """Returns the data that all designs for the same actuators and loads share."""
         key = replace(hardware, noise=())
         if key not in self._shared:
             self._shared[key] = SharedDesignData(self.vehicle, key)
@@ -142,23 +143,23 @@ class Designer:
 
     @property
     def state_feedback(self) -> CentralPoint:
-        """State-feedback controller that is the optimum of (22)."""
+        """State-feedback controller that is the optimum of problem (22)."""
         return self.state_path[-1]
 
     @property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound on the norm from the invariant point, a frequency at which no control can change a direction of z. This
-        bound holds for any measurements.
+        """Lower bound on the norm from the invariant point, a frequency at which no control can change a direction of z. The
+        lower bound holds for any measurements.
         """
         return self.shared().beyond_control
 
     def problem(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> Problem:
-        """Returns the control problem for which a controller with these measurements is designed and evaluated."""
+        """Returns the control problem for which a controller with the measurements `measured` is designed and evaluated."""
         return self.shared(hardware).problem(measured, hardware.noise)
 
     def lower_bound(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> "LowerBound":
-        """Returns the lower bound for controllers of any order with these measurements; without measurements, the bound for
-        state feedback.
+        """Returns the lower bound on the norm for controllers of any order with the measurements `measured`; without
+        measurements, the bound for state feedback.
         """
         return self.shared(hardware).lower_bound(measured, hardware.noise)
 
@@ -166,7 +167,7 @@ class Designer:
         return LaterBound(lambda: self.lower_bound(entry.measured, entry.hardware))
 
     def sampled_bound(self, controller: Controller) -> "SampledBound | None":
-        """Returns a lower bound on the sampled-data norm for any controller with the same measurements as the given controller.
+        """Returns a lower bound on the sampled-data norm for any controller with the same measurements as `controller`.
 
         The result is None if the controller was not designed for the sampled-data loop, or if no bound is proved.
         """
@@ -183,21 +184,23 @@ class Designer:
 
     @check_arguments
     def design(self, name: str, zero_l: bool = False, on_progress: Progress = quiet) -> Controller:
-        """Returns a controller with its certificate. The controller is designed unless the vehicle file gives its law.
+        """Returns a controller with its certificate. The controller is designed unless the vehicle file contains its control
+        law.
 
         Args:
             name: name of a controller of the vehicle file, or `passive` or `state`.
-            zero_l: True to use L = 0 instead of (14) in the two steps of an output-feedback design, as in remark 4 of the paper.
-            on_progress: function that is called with the progress of a design for goals.
+            zero_l: True to use L = 0 instead of equation (14) in the two steps of an output-feedback design, as in remark 4 of
+                the paper.
+            on_progress: function that is called with the progress of the search if the controller is designed for goals.
 
         Returns:
-            The controller, with its law, certificate and notes.
+            The controller, with its control law, certificate and notes.
 
         Raises:
             InputError: no controller has this name.
             DesignError: the controller could not be designed, or its certificate fails. A gain that the vehicle file contains
-                is not changed. If the two steps fail, a descent on the norm replaces the two steps; see
-                `Controller.fallback_method`.
+                is not changed by the design. If the two-step method fails, a numerical minimisation of the norm replaces this
+                method; see `Controller.fallback_method`.
         """
         if (own := self.vehicle.with_actuators_of(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)
@@ -210,7 +213,7 @@ class Designer:
             raise type(error)(f"controller {name!r}: {error}") from error
 
     def judged(self, controller: Controller) -> Controller:
-        """Returns a controller with the proved results for its frequency-weighted uncertainties, if its section has any."""
+        """Adds to a controller the proved results for the frequency-weighted uncertainties that its section contains, if any."""
         errors = self._entry(controller.name).errors
         if errors is None:
             return controller
@@ -218,7 +221,7 @@ class Designer:
         return FEATURES.load("weighted errors").with_robustness(self.vehicle, controller, errors)
 
     def _design(self, name: str, zero_l: bool, on_progress: Progress) -> Controller:
-        """Designs a controller, or certifies a given law; see `design`."""
+        """Designs a controller, or certifies the control law that the vehicle file contains; see `design`."""
         entry = self._entry(name)
         if entry.law is not None:
             return self._given(entry, entry.law)
@@ -239,13 +242,13 @@ class Designer:
     def design_problem(
         self, entry: ControllerEntry, plant_problem: Problem, lower_bound: "LowerBound", method: str = ""
     ) -> DesignProblem:
-        """Returns the design problem of a controller's section without goals.
+        """Returns the design problem that a controller's section without goals defines.
 
         Args:
             entry: section of the vehicle file that defines the controller.
             plant_problem: plant and measurements with which the controller is evaluated.
-            lower_bound: lower bound on the norm for any controller with these measurements.
-            method: name of the only method to use. Default: the methods that fit the problem.
+            lower_bound: lower bound on the norm for any controller with the same measurements.
+            method: name of the only design method to use. By default, all methods that suit the problem are used.
         """
         problem, shared = design_problem(self.vehicle, entry, plant_problem, lower_bound), self.shared(entry.hardware)
         if entry.request.two_steps:
@@ -267,19 +270,20 @@ class Designer:
 
     @check_arguments
     def certify(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
-        """Certifies a known law from measurements to forces, without changing the law.
+        """Certifies a known control law from measurements to forces, without changing the law.
 
         Args:
-            name: name for the controller; any name is allowed.
+            name: name to give to the controller; any name is allowed.
             measured: names of the q measured signals.
             law: linear law from the q measurements to the m forces.
             hardware: sensor noise, actuator lag and loads that the certificate takes into account.
 
         Returns:
-            Controller with this law and its certificate.
+            Controller with the control law `law` and its certificate.
 
         Raises:
-            InputError: the numbers of measurements or forces of the law are wrong, or its algebraic loop has no solution.
+            InputError: the law has the wrong number of measurements or forces, or the algebraic loop of the law has no
+                solution.
         """
         expected = len(self.vehicle.linear_model.inputs), len(measured)
         if law.D.shape != expected:
@@ -319,12 +323,12 @@ class Designer:
     def refine(self, name: str, zero_l: bool = False) -> "RefinedController":
         """Lowers the norm of a controller, as long as the decrease justifies a larger gain, and returns the new controller.
 
-        The method is `synth.design.descent.refine`. If the two steps find no gain, the result is the best gain from several
-        starting points.
+        The method of refinement is explained in `synth.design.descent.refine`. If the two-step method finds no gain, the result
+        is the best gain from several starting points.
 
         Args:
             name: name of a controller with a static gain.
-            zero_l: True to use L = 0 instead of (14) in the two steps.
+            zero_l: True to use L = 0 instead of equation (14) in the two-step method.
 
         Raises:
             InputError: no controller has this name, or the controller has no gain to change, such as `passive`.
@@ -348,7 +352,9 @@ class Designer:
         return FEATURES.load("refinement").refine_controller(self.vehicle, entry, problem, start, lower_bound)
 
     def worth_refining(self, controller: Controller) -> float:
-        """Returns a low estimate of the relative norm decrease that `refine` would achieve; 0 if it is negligible."""
+        """Returns a cautious (low) estimate of the relative norm decrease that `refine` would achieve; 0 if the decrease is
+        negligible.
+        """
         if (
             not controller.designed
             or controller.sampled  # a design for the sampled-data loop has already been refined
@@ -362,9 +368,9 @@ class Designer:
         return FEATURES.load("refinement").worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
-        """Recomputes the certificate of a law in the vehicle file from the proofs in this file.
+        """Recomputes the certificate of a control law in the vehicle file from the proofs in this file.
 
-        The result contains the certificate and descriptions of the false claims.
+        The result contains the certificate, and a description of each claim in the file that is false.
 
         Raises:
             InputError: the certificate is malformed.
@@ -375,7 +381,7 @@ class Designer:
             raise self.vehicle.located(error) from error
 
     def _entry(self, name: str) -> ControllerEntry:
-        """Returns the controller entry with the given name: from the vehicle file, `passive` or `state`."""
+        """Returns the entry of a controller, selected by name: a controller in the vehicle file, `passive` or `state`."""
         name, model = unicodedata.normalize("NFC", str(name)), self.vehicle.linear_model
         if name == "passive":
             return ControllerEntry(name, (), static_law(np.zeros((len(model.inputs), 0))))
@@ -395,7 +401,7 @@ def certify_given(
 
 
 def driver_of(vehicle: Vehicle, name: str) -> AnyController:
-    """Returns a controller of any type whose law is given in the vehicle file."""
+    """Returns a controller of any type whose control law the vehicle file contains."""
     return vehicle.driver(name, Designer(vehicle, search=False).design)
 
 
@@ -408,18 +414,20 @@ def design(vehicle: Vehicle, name: str) -> Controller:
 
 
 def design_controllers(vehicle: Vehicle, names: str | Annotated[Sequence[str], AT_LEAST_ONE]) -> list[Controller]:
-    """Designs or certifies controllers of a vehicle, given their names. All designs share the state-feedback step (22).
+    """Designs or certifies controllers of a vehicle, which are selected by name. All designs share the solution of the
+    state-feedback problem (22).
 
     Args:
         vehicle: vehicle whose file defines the controllers.
-        names: names of controllers of the file, `passive` or `state`. A single name may be given without a list.
+        names: names of controllers in the vehicle file, `passive` or `state`. A single controller's name may be given without a
+            list.
 
     Returns:
-        The controllers, in the order of the names, each with its law and certificate.
+        The controllers, in the order of the names, each with its control law and certificate.
 
     Raises:
-        InputError: a name is unknown, or the list is empty.
-        DesignError: a controller could not be designed or proved; the message gives the reason.
+        InputError: the name of a controller is unknown, or the list of names is empty.
+        DesignError: a controller could not be designed or certified; the message gives the reason.
 
     Example:
         >>> from models import read_vehicle

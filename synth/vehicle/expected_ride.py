@@ -1,17 +1,18 @@
 """Expected ride of a loop on a random road: the weighted rms acceleration of the body as in ISO 2631-1.
 
-A norm is the worst gain from the road to z, with the weights of `[performance]`. A design may reduce the norm and still make
-the ride worse. The expected ride is therefore also computed, from the road spectrum and the ideal loop. The vertical road
-velocity is white noise of density G_v within its band. The rear wheels follow with a delay, and a coherence function relates
-the left and right tracks. Let H be the response of an acceleration to the road under every wheel. Let e be the response of the
-road to two independent white sources, and W_k the frequency weighting. Then
+The H-infinity norm is the worst gain from the road to the output z, with the weights in `[performance]`. A design may reduce
+this worst gain (the norm) and still make the ride worse. The expected ride is therefore also computed, from the road spectrum
+and the ideal loop. The vertical road velocity is white noise of density G_v within a frequency band. The rear wheels pass over
+the same road with a delay, and a coherence function relates the left and right tracks. Let H be the frequency response of an
+acceleration to the road under every wheel. Let e be the frequency response of the road to two independent white-noise sources,
+and W_k the frequency weighting of ISO 2631-1. Then
 
     mean square = G_v integral of |W_k H e|^2 df.
 
-The loop is continuous and has no limits, so its actuators deliver every requested force. `sim.drive` computes the ride of the
-sampled-data loop. Straight lines replace the nonlinear characteristics of dampers and springs. These lines come from
-statistical linearisation on this road, because the tangents at equilibrium are valid only for far smaller motions
-(`synth/controller/equivalent_line.py`).
+The loop is assumed to be continuous and without limits, so the actuators deliver every requested force. `sim.drive` computes
+the ride of the sampled-data loop. Straight lines replace the nonlinear characteristics of dampers and springs. The straight
+lines follow from statistical linearisation on the random road, because the tangents at equilibrium are valid only for far
+smaller motions (`synth/controller/equivalent_line.py`).
 """
 
 from collections.abc import Sequence
@@ -40,14 +41,14 @@ WEIGHTING_FILTER = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
 def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str] | None = None) -> float | None:
     """Returns the expected weighted rms acceleration on an average road, at the worst of several points [m/s2].
 
-    The result is None if the ideal loop is not stable, or if the vehicle has no signal for a vertical acceleration of the body.
-    The result is also None if no equivalent linear vehicle exists.
+    The result is None if the ideal loop is not stable, or if the vehicle has no signal that is a vertical acceleration of the
+    body. The result is also None if no equivalent linear vehicle exists.
 
     Args:
         vehicle: vehicle of the controller.
         controller: linear controller.
-        points: names of acceleration signals. Default: the points where a person sits or, if there is no person, all points of
-            the body.
+        points: names of the acceleration signals at these points. Default: the points where a person sits or, if there is no
+            person, all points of the body.
     """
     felt = points or vehicle.ride_points.worst_of
     if not felt or not controller.certificate.stable:
@@ -64,9 +65,9 @@ def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str
 
 
 def no_line(vehicle: Vehicle, controller: Controller) -> str:
-    """Explains why no equivalent linear vehicle exists for a stable loop.
+    """Returns a text that explains why no equivalent linear vehicle exists for a stable loop.
 
-    The result is empty if the expected ride is missing for another reason.
+    The text is empty if the expected ride is missing for a different reason.
     """
     curved = vehicle.parts.nonlinear and controller.certificate.stable and vehicle.ride_points.worst_of
     from synth.controller.equivalent_line import without_curve

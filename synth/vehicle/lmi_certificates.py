@@ -1,4 +1,6 @@
-"""LMI certificates of a vehicle's controllers: claims about each loop and its goals, with signal names, units and checksums."""
+"""LMI certificates of a vehicle's controllers: claims about each closed loop and its design goals, with signal names, units and
+checksums.
+"""
 
 import json
 import re
@@ -49,9 +51,9 @@ def certificate(designer: Designer, controller: Controller, law: ExportedLaw | N
     If no claim can be proved, the certificate contains the reason instead of claims.
 
     Args:
-        designer: designer of the vehicle.
+        designer: `Designer` of the vehicle to which the controller belongs.
         controller: linear controller of the vehicle.
-        law: law in its exported form. If this law is given, the certificate of a static law uses the rounded numbers of the
+        law: law in its exported form. If `law` is given, the certificate of a static law is for the rounded numbers in the
             exported code.
     """
     vehicle = designer.vehicle
@@ -118,7 +120,7 @@ def _own_law(controller: Controller, law: ExportedLaw | None) -> tuple[LinearLaw
 def _fingerprints(vehicle: Vehicle, controller: Controller, law: ExportedLaw | None) -> dict[str, str]:
     """Returns the SHA-256 of the vehicle file and of the tables in the C code.
 
-    The checksum of the tables covers the lines that `grep -E '^(static|    [{])' NAME_data.h` prints.
+    The checksum of the tables is that of the lines that `grep -E '^(static| [{])' NAME_data.h` prints.
     """
     try:
         law = law or exported_law(vehicle, controller, "double", c_name(controller.name))
@@ -156,7 +158,9 @@ def _outputs(vehicle: Vehicle) -> list[Signal]:
 
 
 def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: Array, names: Names) -> None:
-    """Adds the claims about the goals of a controller's section, for each vehicle in the family of the goals."""
+    """Adds the claims about the goals in a controller's section to a certificate, for each vehicle in the family that the goals
+    define.
+    """
     goals = entry.goals
     assert goals is not None, "they are given"
     asked = goal_problem(vehicle, entry, goals)
@@ -210,16 +214,16 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
 
 
 def certificate_texts(vehicle: Vehicle, controllers: Sequence[Controller], law: ExportedLaw | None = None) -> dict[str, str]:
-    """Returns the files of a certificate folder: a certificate for each controller, and programs in Python and JavaScript that
-    check it.
+    """Returns the files of a certificate folder: a certificate for each controller, and Python and JavaScript programs that
+    check the certificates.
 
     Args:
-        vehicle: vehicle of the controllers.
-        controllers: linear controllers. Controllers that measure nothing have no certificate.
-        law: law in its exported form, if there is only one controller.
+        vehicle: vehicle to which the controllers belong.
+        controllers: linear controllers. A controller without measurements has no certificate.
+        law: control law in the form in which it is exported, if there is only one controller.
 
     Returns:
-        Texts by file name; empty if no controller has a certificate.
+        Text of each file, by file name; empty if no controller has a certificate.
     """
     texts = dict[str, str]()
     for controller in [one for one in controllers if one.measured]:

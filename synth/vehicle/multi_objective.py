@@ -1,4 +1,6 @@
-"""Design of controllers for the goals of their section in a vehicle file: optimisation problem and certified specifications."""
+"""Design of controllers for the goals that their sections in the vehicle file state: optimisation problem and certified
+specifications.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -33,7 +35,7 @@ USUAL_SPEED = 12.5  # default speed for bounds [m/s], as in equation (62) of the
 
 
 def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Vehicle]:
-    """Returns the vehicles of the family for which a section's controller is designed.
+    """Returns the family of vehicles for which the controller of a section is designed.
 
     Raises:
         InputError: the parameters of a vehicle in the family are invalid.
@@ -47,11 +49,11 @@ def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Ve
 
 
 def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> MultiObjectiveProblem:
-    """Returns the optimisation problem for the goals of a section, without the individual optima of the vehicles.
+    """Returns the optimisation problem that the goals in a section define, without the individual optimum of each vehicle.
 
     Raises:
-        InputError: a road is unknown or has no end, or a vehicle or measurement is invalid. The message contains the file and
-            the bound.
+        InputError: the road of a bound is unknown or has no end, or a vehicle or measurement is invalid. The error message
+            names the vehicle file and the bound.
     """
     try:
         return _goal_problem(vehicle, entry, goals)
@@ -77,7 +79,7 @@ def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Mul
 
 
 def with_outputs_of_norm(vehicle: Vehicle, norm: NormOf) -> Vehicle:
-    """Returns the vehicle whose output z contains the signals of a norm goal, with the weights of this goal."""
+    """Returns the vehicle with an output z that contains the signals of a norm goal, with the weights of this goal."""
     return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={}, sums=())
 
 
@@ -87,7 +89,7 @@ def _with_norm(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> Plant:
 
 
 def _on_road_of_bound(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Road) -> RoadLoop:
-    """Returns the loop of a vehicle on the road of a peak bound."""
+    """Returns the loop of a vehicle that drives over the road for which a peak bound is stated."""
     bandwidth = entry.hardware.bandwidth
     model = vehicle.linear_model if bandwidth is None else vehicle.linear_model.behind_lag(bandwidth)
     (C, D), (Cy, Dyu) = model.rows([bound.peak]), model.rows(entry.measured)
@@ -122,7 +124,9 @@ def _on_road_of_bound(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound
 
 
 def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
-    """Raises an InputError for signals that contain the road velocity, because they jump when the road velocity jumps."""
+    """Raises an InputError if a signal depends directly on the road velocity, because the signal then jumps when the road
+    velocity jumps.
+    """
     model = vehicle.linear_model
     if pushed := [name for name in names if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
@@ -132,7 +136,7 @@ def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
 
 
 def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> BoundedSignal:
-    """Returns the signal of an energy bound, as a combination of the states and inputs of the plant for the minimised norm."""
+    """Returns the signal of an energy bound as a linear combination of states and inputs of the plant whose norm is minimised."""
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
     if np.any(model.Cr[model.outputs.index(bound.energy_peak)]):
         raise InputError(
@@ -173,21 +177,21 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
 def goals_design(
     vehicle: Vehicle, entry: ControllerEntry, goals: Goals, plant_problem: Problem, lower_bound: LowerBound, on_progress: Progress
 ) -> Controller:
-    """Designs the controller of a section with goals.
+    """Designs the controller of a vehicle file's section that contains goals.
 
     Args:
         vehicle: vehicle whose file contains the section.
         entry: section of the vehicle file that defines the controller.
-        goals: norm to minimise, bounds and tolerance that the section contains.
+        goals: goals in the section: norm to minimise, bounds, and tolerance of gain errors.
         plant_problem: control problem for the certificate; z is defined in `[performance]` and weighted at all frequencies.
-        lower_bound: lower bound on the norm for any controller with these measurements.
+        lower_bound: lower bound on the norm for any controller with the same measurements.
         on_progress: function that is called with the progress of the search.
 
     Returns:
-        The controller with its certificate and verified specifications.
+        The designed controller with its certificate and verified specifications.
 
     Raises:
-        DesignError: no controller was found.
+        DesignError: the search found no controller that satisfies the bounds.
     """
     problem = goal_problem(vehicle, entry, goals)
     # For every family, the ratios of the norms to the individual optima are reported. If the goals request it, the ratios are
@@ -218,19 +222,19 @@ def goals_design(
 def verify_specifications(
     vehicle: Vehicle, entry: ControllerEntry, goals: Goals, law: LinearLaw, search: bool
 ) -> tuple[Specification, ...]:
-    """Verifies a given gain against the goals of its section.
+    """Verifies that the gain in a section of the vehicle file satisfies the goals in this section.
 
     Args:
         vehicle: vehicle whose file contains the section.
         entry: section of the vehicle file that defines the controller.
-        goals: norm to minimise, bounds and tolerance that the section contains.
-        law: static law of the section.
-        search: True to include, for a family, the ratio of the norm to each vehicle's individual optimum. This ratio requires
-            additional designs.
+        goals: goals in the section: norm to minimise, bounds, and tolerance of gain errors.
+        law: static control law that the section contains.
+        search: True to include, for a family of vehicles, the ratio of the norm to each vehicle's individual optimum. The ratio
+            to the individual optima requires additional designs.
 
     Raises:
-        DesignError: `search` is True, but for one vehicle of the family no gain satisfies the bounds, even if it is designed
-            for this vehicle only.
+        DesignError: `search` is True, but for one vehicle of the family no gain satisfies the bounds, not even a gain for this
+            vehicle only.
     """
     problem = goal_problem(vehicle, entry, goals)
     if search and goals.over == REGRET:

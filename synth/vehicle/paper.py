@@ -1,12 +1,15 @@
-"""Comparison with the paper's published designs (40)-(60), and with remarks 4 and 5 of the paper about other design methods.
+"""Comparison with the paper's published designs (40)-(60), and with the paper's remarks 4 and 5, which are about different
+design methods.
 
-Remark 4: with the states (30), problem (25) has no solution for L = 0. If z_s, z_u and their velocities are the states, as in
-reference [33] of the paper, (25) has a solution for controller I, but no solution for controller II. For these states, w is the
-road height, because the road velocity would require an additional state. The output z is the same for both choices of states.
+Remark 4: with the states of equation (30), problem (25) has no solution for L = 0. With the heights z_s and z_u and their
+velocities as states, as in reference [33], problem (25) has a solution for controller I, but not for II. For the states of
+reference [33], the disturbance w is the road height, because the road velocity would require an additional state. The output z
+is the same for both choices of states.
 
 Remark 5: in reference [19] of the paper, controller I was found by a genetic algorithm. Here,
-`scipy.optimize.differential_evolution` represents this type of search. This search uses only the norm of the loop for each
-gain, within given limits on the gains. The result depends on these limits and on the seed.
+`scipy.optimize.differential_evolution` is used instead of this genetic algorithm. The search evaluates only the norm of the
+loop for each gain, within fixed limits on the gains. The result of the search depends on the limits on the gains and on the
+random seed.
 """
 
 import math
@@ -35,15 +38,15 @@ EXACT = ""
 
 @dataclass(frozen=True)
 class PrintedNumber:
-    """Number that the paper published.
+    """Number published in the paper, with its place.
 
     Attributes:
         equation: number of the equation in the paper.
         quantity: symbol of the quantity.
-        entry: row and column, counted from 0; None for a scalar.
-        value: number that the paper published.
-        digit: value of one unit in the last published digit.
-        reason: reason why Roadproof's value differs in the last published digit; empty if it does not differ.
+        entry: row and column of the number in the matrix, counted from 0; None for a scalar.
+        value: number as published in the paper.
+        digit: value of one unit in the last published digit of the number.
+        reason: reason why Roadproof's value differs in the last published digit; empty if there is no difference.
     """
 
     equation: str
@@ -90,13 +93,13 @@ PRINTED_NUMBERS = tuple(
 
 
 def is_the_papers(vehicle: Vehicle) -> bool:
-    """Returns True if a vehicle has the parameters (33) and the weights (38) of the paper."""
+    """Returns True if a vehicle has the parameters of equation (33) and the weights of equation (38) in the paper."""
     paper = read_vehicle("quarter_car")
     return not vehicle.filtered and vehicle.parameters == paper.parameters and vehicle.performance == paper.performance
 
 
 def ours(designer: Designer) -> dict[str, Array | float]:
-    """Returns the quantities of the paper as computed by Roadproof, by symbol."""
+    """Returns the quantities that the paper publishes, as computed by Roadproof, by symbol."""
     step = designer.state_feedback
     values: dict[str, Array | float] = {"G_s": step.K, "X_s": step.X, "gamma_Gs": step.gamma}
     for name in ("I", "II"):
@@ -109,7 +112,7 @@ def ours(designer: Designer) -> dict[str, Array | float]:
 
 
 def entry_of(quantity: Array | float, entry: tuple[int, int] | None) -> float:
-    """Returns an entry of a matrix, or the number itself if `entry` is None."""
+    """Returns an entry of a matrix, or the quantity itself if `entry` is None."""
     return float(np.asarray(quantity)[entry] if entry is not None else quantity)
 
 
@@ -130,9 +133,9 @@ class WithoutL:
     Attributes:
         controller: name of the controller, I or II.
         states: choice of states: "(30)" for equation (30), or "[33]" for reference [33] of the paper.
-        gain: gain K, shape (1, q); None if (25) has no solution for L = 0.
-        bound: gamma of (25); None if (25) has no solution.
-        best: gamma of (22) for the same plant, which is a lower bound for any gain.
+        gain: gain K, shape (1, q); None if problem (25) has no solution for L = 0.
+        bound: value of gamma that problem (25) yields; None if the problem has no solution.
+        best: value of gamma that problem (22) yields for the same plant, a lower bound on the norm for any gain.
     """
 
     controller: str
@@ -150,8 +153,8 @@ class Way:
         controller: name of the controller, I or II.
         how: name of the design method.
         gain: gain K, shape (1, q).
-        norm: norm of the closed loop.
-        work: text with the number of LMI problems that were solved, or of norms that were computed.
+        norm: norm of the closed loop that the method achieves.
+        work: text that states how many LMI problems were solved, or how many norms were computed.
         seconds: processor time that the method needed [s].
     """
 
@@ -171,7 +174,7 @@ def absolute_states(plant: Plant) -> Plant:
 
 
 def remark_4(designer: Designer) -> list[WithoutL]:
-    """Returns the results for L = 0, for both controllers and both choices of states."""
+    """Returns the results for remark 4 (L = 0), for both controllers and both choices of states."""
     cases = []
     for states, plant, turned in (
         ("(30)", designer.plant, np.eye(4)),
@@ -190,7 +193,7 @@ def remark_4(designer: Designer) -> list[WithoutL]:
 
 @numerics()
 def remark_5(designer: Designer) -> list[Way]:
-    """Returns the results of the two-step method and of a genetic algorithm, for both controllers."""
+    """Returns the results for remark 5, for the two-step method and a genetic algorithm, and for both controllers."""
     from scipy.optimize import differential_evolution  # this import takes half a second
 
     ways, plant = [], designer.plant

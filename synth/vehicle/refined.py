@@ -1,4 +1,6 @@
-"""Result of `--refine` for a controller, with the trade-off of norm and gain, and an estimate of the benefit of `--refine`."""
+"""Result of the option `--refine` for a controller: the trade-off of norm and gain, and an estimate of the benefit of
+refinement.
+"""
 
 from dataclasses import dataclass
 
@@ -21,10 +23,10 @@ class RefinedController:
     """Controller whose norm was reduced by refinement, and details of the refinement.
 
     Attributes:
-        controller: refined controller with its certificate.
-        start: controller that was refined; None if the two steps found no gain.
-        origin: description of the starting point of the descent; empty if the descent began at `start`.
-        refinement: norms before and after the refinement, growth of the gain, and the decrease that was rejected because it was
+        controller: refined controller, which includes a certificate.
+        start: controller that was refined; None if the two-step method found no gain.
+        origin: description of the gain at which the minimisation of the norm began; empty if the minimisation began at `start`.
+        refinement: norms before and after the refinement, growth of the gain, and the decrease of the norm that was rejected as
             too small.
     """
 
@@ -35,22 +37,22 @@ class RefinedController:
 
     @property
     def trade_off_text(self) -> str:
-        """Description of the trade-off between norm and gain."""
+        """Text that describes the trade-off between the norm and the size of the gain."""
         return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.trade_off_text}"
 
 
 def refine_controller(
     vehicle: Vehicle, entry: ControllerEntry, problem: Problem, start: Controller | None, lower_bound: LowerBound
 ) -> RefinedController:
-    """Returns a controller with a lower norm for a section of the vehicle file.
+    """Returns a controller with a lower norm than `start` for a section of the vehicle file.
 
     Args:
-        vehicle: vehicle of the controller.
+        vehicle: vehicle to which the controller belongs.
         entry: section of the vehicle file that defines the controller.
         problem: control problem with which the controller is evaluated.
-        start: controller to refine; None if the two steps found no gain. In this case, the best result from other starting
-            points is used.
-        lower_bound: lower bound on the norm for any controller with these measurements.
+        start: controller to refine; None if the two-step method found no gain. If `start` is None, the best result from several
+            other starting gains is used.
+        lower_bound: lower bound on the norm for any controller with the same measurements.
 
     Raises:
         DesignError: the gain of `start` does not stabilise the vehicle, or no starting point leads to a gain.
@@ -83,7 +85,9 @@ def refine_controller(
 
 
 def worth(vehicle: Vehicle, controller: Controller, problem: Problem) -> float:
-    """Returns a low estimate of the relative norm decrease that refinement would achieve; 0 if it is negligible."""
+    """Returns a cautious (low) estimate of the relative norm decrease that refinement would achieve; 0 if the decrease is
+    negligible.
+    """
     gap = controller.certificate.gap
     if gap is not None and gap <= SEEN:
         return 0.0
@@ -94,5 +98,5 @@ def worth(vehicle: Vehicle, controller: Controller, problem: Problem) -> float:
 
 
 def _gain(vehicle: Vehicle, controller: Controller, problem: Problem, kept: list[int]) -> Array:
-    """Returns the gain of the controller on the independent measurements, shape (m, len(kept))."""
+    """Returns the controller's gain from the independent measurements only, shape (m, len(kept))."""
     return from_some(controller.law_on_states(vehicle).D, problem.plant.Cy, kept)

@@ -28,17 +28,19 @@ UNNAMED_SIGNAL = re.compile(r"[uy]\[\d+\]")  # default name of a signal in the p
 def from_state_space(
     system: Any, disturbances: Sequence[str], performance: Mapping[str, float], measured: Sequence[str]
 ) -> tuple[Plant, Array]:
-    """Converts a system with named signals to a plant (15) and the matrix C_y of its measurements.
+    """Converts a system with named signals to a plant of the form (15), and the matrix C_y of the measurements.
 
     Args:
-        system: `control.StateSpace`, or an object with A, B, C, D, input_labels and output_labels. If it is discrete, `dt` is
-            its sample period [s].
-        disturbances: names of the inputs that are disturbances w. All other inputs are controls u.
-        performance: weights of the outputs that form z, by name.
-        measured: names of the outputs that form y. These outputs must have no feedthrough from u or w.
+        system: `control.StateSpace`, or an object with A, B, C, D, input_labels and output_labels. If the system is discrete,
+            `dt` is the sample period [s].
+        disturbances: names of those inputs of the system that are disturbances w. All other inputs of the system are control
+            inputs u.
+        performance: weights of those outputs of the system that form the performance output z, by name.
+        measured: names of the outputs that form the measurement vector y. Measured outputs must have no feedthrough from u or
+            w.
 
     Returns:
-        The plant, continuous or discrete as the system is, and C_y of shape (q, n).
+        The plant (discrete if the system is discrete, otherwise continuous), and the matrix C_y of shape (q, n).
 
     Raises:
         InputError: a signal is unknown; disturbances, positive weights or measurements are missing; a discrete system has no
@@ -101,20 +103,20 @@ def _sample_period(system: Any) -> float | None:
 def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system: Any) -> Controller:
     """Converts a linear system to a certified controller.
 
-    The inputs of the system are the measurements, and its outputs are the forces.
+    The inputs of the system are the measurements, and the outputs of the system are the forces.
 
     Args:
-        vehicle: vehicle of the controller.
+        vehicle: vehicle to which the controller belongs.
         name: name of the controller.
-        measured: names of the signals at the inputs of the system. Inputs and outputs with names are assigned to signals and
-            forces by name, otherwise by order.
-        system: `control.StateSpace`, or an object with A, B, C and D. If it is discrete, `dt` is its sample period [s].
+        measured: names of the signals at the inputs of the system. If the inputs and outputs have names, they are assigned to
+            signals and forces by name, otherwise by order.
+        system: `control.StateSpace`, or an object with A, B, C and D. If the system is discrete, `dt` is the sample period [s].
 
     Returns:
-        Controller with its certificate. The law of the controller is the given system, unchanged.
+        Controller with its certificate. The control law of the returned controller is the system itself, unchanged.
 
     Raises:
-        InputError: a signal, the shape of a matrix, an entry or the sample period does not fit the vehicle.
+        InputError: a signal name, the shape or an entry of a matrix, or the sample period does not suit the vehicle.
 
     Example:
         >>> import control
@@ -142,14 +144,14 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
     """Converts the law of a controller to a `control.StateSpace` with named signals, from measurements to forces.
 
     Args:
-        vehicle: vehicle of the controller.
+        vehicle: vehicle to which the controller belongs.
         controller: linear controller with at least one measurement.
 
     Returns:
-        The law as a `control.StateSpace`, continuous or discrete as the law is.
+        The control law as a `control.StateSpace`, which is discrete if the law is discrete, otherwise continuous.
 
     Raises:
-        InputError: the controller has no measurements, or belongs to another vehicle.
+        InputError: the controller has no measurements, or belongs to a different vehicle.
 
     Example:
         >>> from models import read_vehicle
@@ -184,7 +186,9 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
 
 
 def _order(system: Any, labels: str, names: Sequence[str]) -> list[int]:
-    """Returns the positions of names among the inputs or outputs of a system. If the system has no names, the order is kept."""
+    """Returns the positions of signal names among the inputs or outputs of a system. If the inputs or outputs of the system
+    have no names, the positions follow the order of the signal names.
+    """
     given_names = list(getattr(system, labels, None) or names)
     if all(UNNAMED_SIGNAL.fullmatch(label) for label in given_names):
         return list(range(len(names)))
@@ -198,17 +202,17 @@ def _order(system: Any, labels: str, names: Sequence[str]) -> list[int]:
 def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
     """Returns the closed loop (16) as a continuous `control.StateSpace`, from the roads to every output of the vehicle.
 
-    Sensors have no noise, and actuators have no lag. Heights above the datum of a flat road are omitted, because they are
-    unbounded even if the road velocity is bounded. The first inputs are the road velocities [m/s]. If the warp of the road acts
-    through its height, as in a full car, each warp is an additional input. A warp is given as a velocity: the height of the
-    warp times `twist_rate` of the linear model.
+    The sensors in the closed loop have no noise, and the actuators have no lag. Outputs that are heights above the datum of a
+    flat road are omitted, because such heights are unbounded even for a bounded road velocity. The first inputs of the closed
+    loop are the road velocities [m/s]. If the height of the road's warp has a direct effect, as in a full car, each warp is an
+    additional input. A warp input is a velocity: the height of the warp times `twist_rate` of the linear model.
 
     Args:
-        vehicle: vehicle; its outputs are the outputs of the loop.
-        controller: designed or given controller with a linear law.
+        vehicle: vehicle in the loop; the outputs of the vehicle are the outputs of the loop.
+        controller: controller with a linear law, either designed or contained in the vehicle file.
 
     Returns:
-        The closed loop as a `control.StateSpace`. Outputs have the names and units of the vehicle's signals.
+        The closed loop as a `control.StateSpace`. The outputs of the loop have the names and units of the vehicle's signals.
 
     Example:
         >>> from models import read_vehicle
@@ -225,11 +229,12 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
 
 
 def loop_to(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "control.StateSpace":
-    """Returns the closed loop from the disturbances to z of a vehicle. The entries of z have the names `outputs`.
+    """Returns the closed loop of a vehicle from the disturbances to the performance output z. The entries of the performance
+    output z have the names `outputs`.
 
-    If the road has a filter, the inputs are the inputs of this filter, `w[road]`. The noise of a sensor, if the design includes
-    it, is an input in units of its rms, `noise[signal]`. A load is an input `load[name]`, in units of the load that counts as w
-    = 1 m/s.
+    If the road has a filter, the inputs of the loop are those of the filter, named `w[road]`. If the design includes the noise
+    of a sensor, this noise, divided by its rms, is an input named `noise[signal]`. A load is an input named `load[name]`,
+    divided by the load that counts as w = 1 m/s.
     """
     check_feedback_alone(controller, "a state-space system")
     from control import StateSpace, ss

@@ -1,4 +1,4 @@
-"""Verification of a gain against its goals, which does not depend on the search that found the gain."""
+"""Verification that a gain satisfies its design goals; the verification does not depend on the search that found the gain."""
 
 import itertools
 from collections.abc import Sequence
@@ -34,13 +34,13 @@ TIME = Field[float]("time", float, ".4g", unit="s")
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """Verification of one gain against the goals of its section.
+    """Verification that one gain satisfies the goals in its section of the vehicle file.
 
     Attributes:
-        vehicle, entry, goals: vehicle, controller's section, and goals of the section.
-        problem: goals as an optimisation problem on plants.
+        vehicle, entry, goals: vehicle, controller's section of the vehicle file, and goals in this section.
+        problem: optimisation problem that the goals define, stated with the plants of the vehicles.
         K: gain that is verified, shape (m, q).
-        known: worst norms for gain errors, which are stored so that each norm is computed only once.
+        known: worst norms over all gain errors, which are stored so that each norm is computed only once.
     """
 
     vehicle: Vehicle
@@ -52,7 +52,7 @@ class Verification:
 
     @property
     def names(self) -> list[str]:
-        """Descriptions of the vehicles of the family; a single empty text if there is no family."""
+        """Text that describes each vehicle of the family; a single empty text if there is no family."""
         factors = [" and ".join(f"{name} x {by:g}" for name, by in member.items()) for member in self.goals.family]
         return [f"vehicle {i}, {text or 'unchanged'}" for i, text in enumerate(factors)] or [""]
 
@@ -107,15 +107,15 @@ class Verification:
         at: Sequence[str] = (),
         proofs: Sequence[Proof | None] = (),
     ) -> Specification:
-        """Returns the specification of the largest value among the vehicles of the family.
+        """Returns the specification for the largest value of a quantity among the vehicles of the family.
 
         Args:
             what: name of the quantity that the specification describes.
-            of: value of the quantity for each vehicle, with a proved bound.
-            at_most: largest allowed value; None if the quantity is minimised.
+            of: value of the quantity for each vehicle, with a proved upper bound.
+            at_most: largest allowed value of the quantity; None if the quantity is minimised.
             unit: unit of the values and of `at_most`.
-            at: description of where each value occurs, such as its frequency; may be empty.
-            proofs: proof of each bound for all gain errors; empty if there are no errors.
+            at: text that states where each value occurs, for example at which frequency; may be empty.
+            proofs: proof of each bound for all gain errors; empty if there are no gain errors.
         """
         i = int(np.argmax([value for value, _ in of]))
         where = ", ".join(filter(None, (self.names[i], at[i] if at else "")))
@@ -123,7 +123,7 @@ class Verification:
         return Specification(what, of[i][0], max(proved for _, proved in of), at_most, unit, where, how)
 
     def regret(self, bests: Sequence[float]) -> Specification:
-        """Returns the specification of the largest ratio between a vehicle's norm and its individual optimum."""
+        """Returns the specification of the largest ratio between a vehicle's norm and the individual optimum for this vehicle."""
         problem, proofs = self.problem, []
         if problem.has_errors:
             worst = self.worst(problem.minimise)
@@ -152,7 +152,7 @@ class Verification:
     def worst_in_band(self, i: int, spec: NormSpecification) -> WorstNorm:
         """Returns the norm of a vehicle in a band for the worst gain errors.
 
-        The bound is proved by multipliers or, if this fails, with a band filter.
+        The bound is proved by multipliers or, if this method fails, with a band filter.
         """
         problem, tolerance = self.problem.members[i].plants[spec.which], self.problem.tolerance
         best = self.problem.bests[i] if spec is self.problem.minimise and self.problem.bests is not None else 1.0
@@ -173,10 +173,11 @@ class Verification:
         return WorstNorm(max(values), worst.sensors, worst.forces, proof.bound if proof is not None else np.inf, proof)
 
     def decay(self, rate: float) -> list[Specification]:
-        """Returns the specifications of the slowest pole in the family: first without, then with gain errors, if any.
+        """Returns the specifications of the slowest pole in the family: first without gain errors, then with gain errors, if
+        any.
 
-        If there are gain errors, all poles are shifted to the right by `rate`. The decay rate is proved if the shifted loops
-        are stable.
+        To prove the decay rate with gain errors, all poles are shifted to the right by `rate`. The decay rate is proved if the
+        loops with shifted poles are stable for all gain errors.
         """
         slowest = [_slowest(member.plants[0], self.K) for member in self.problem.members]
         i = int(np.argmax(slowest))
@@ -193,7 +194,7 @@ class Verification:
         return [*specifications, self.most("slowest pole, with errors", of, -rate, "rad/s", proofs=proofs)]
 
     def energy_peak(self, bound: EnergyBound, which: int) -> Specification:
-        """Returns the specification of the largest magnitude of a signal for all roads of given energy."""
+        """Returns the specification of a signal's largest magnitude over all roads up to the energy that the bound states."""
         of = []
         for member in self.problem.members:
             problem, signal = member.plants[self.problem.minimise.which], member.signals[which]
@@ -206,7 +207,7 @@ class Verification:
         return self.most(what, of, bound.at_most, self.vehicle.kind.signal(bound.energy_peak).unit)
 
     def peak(self, bound: PeakBound, which: int) -> Specification:
-        """Returns the specification of the largest magnitude of a signal over a road."""
+        """Returns the specification of the largest magnitude of a signal while the vehicle drives over one road."""
         of = [peak_over_road(member.driven_by[which], self.K) for member in self.problem.members]
         at = [f"{TIME.text(peak.time)} after its start" for peak in of]
         values, unit = [(peak.value, peak.proved) for peak in of], self.vehicle.kind.signal(bound.peak).unit
@@ -214,7 +215,9 @@ class Verification:
 
 
 def _norm(plant: Plant, K: Array, spec: NormSpecification) -> tuple[float, float, float]:
-    """Returns the norm in the band, a proved bound, and the peak frequency [rad/s]; infinite if the loop is unstable."""
+    """Returns the norm in the frequency band, a proved bound on the norm, and the peak frequency [rad/s]; infinite if the loop
+    is unstable.
+    """
     norm = norm_in_band(_loop(plant, K), *spec.band)
     if not norm.stability.stable:
         return np.inf, np.inf, np.nan
@@ -222,9 +225,9 @@ def _norm(plant: Plant, K: Array, spec: NormSpecification) -> tuple[float, float
 
 
 def shifted_plant(plant: Plant, rate: float) -> Plant:
-    """Returns the plant without its filters, with all poles shifted to the right.
+    """Returns the plant without weighting filters, and with all poles shifted to the right by `rate`.
 
-    A loop with this plant is stable if the loop with the given plant decays faster than `rate` [1/s].
+    A loop with the shifted plant is stable if the loop with the original plant decays faster than `rate` [1/s].
     """
     alone = plant.without_weighting
     return replace(alone, A=alone.A + rate * np.eye(len(alone.A)))

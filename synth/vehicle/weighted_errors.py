@@ -1,8 +1,8 @@
 """Robust stability and robust performance of a controller for frequency-weighted uncertainties, with proofs.
 
-Both results are peaks, over frequency, of the structured singular value mu of a loop. The loop stays stable for all
-uncertainties smaller than 1 / mu. For robust performance, mu <= gamma means that the norm is at most gamma for all
-uncertainties of size 1 / gamma.
+Robust stability and robust performance both follow from the peak, over frequency, of the structured singular value mu of a
+loop. The loop remains stable for all uncertainties smaller than the inverse of the peak of mu. For robust performance, mu <=
+gamma means that the norm is at most gamma for all uncertainties up to the size 1 / gamma.
 """
 
 from dataclasses import replace
@@ -42,7 +42,9 @@ def with_robustness(vehicle: Vehicle, controller: Controller, errors: WeightedEr
 
 
 def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specification:
-    """Returns the specification of the peak of mu, with a lower bound from actual uncertainties and a proved upper bound."""
+    """Returns the specification of the peak of mu, with a lower bound from uncertainties that were found, and a proved upper
+    bound.
+    """
     above = structured_bound(loop)
     below = worst_errors(loop, above.peak_frequency) if np.isfinite(above.gamma) else None
     value = below.mu if below is not None else np.inf
@@ -53,8 +55,8 @@ def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specifica
 
 
 def is_robust_design(entry: ControllerEntry) -> bool:
-    """Returns True if a controller is designed for its weighted uncertainties: its section contains `order`, and it is not
-    designed for the sampled-data loop.
+    """Returns True if a controller is designed for its weighted uncertainties: the section contains `order`, and the design is
+    not for the sampled-data loop.
     """
     request, structure = entry.request, entry.request.structure
     free = request.design == FULL if structure is None else not (structure.kind or structure.rows)
@@ -62,7 +64,7 @@ def is_robust_design(entry: ControllerEntry) -> bool:
 
 
 def structured_plant(vehicle: Vehicle, controller: Controller | ControllerEntry, errors: WeightedErrors) -> StructuredPlant:
-    """Returns the plant of a controller from [w; p; u] to [z; q; y]; see `StructuredPlant`."""
+    """Returns the plant of a controller from the inputs [w; p; u] to the outputs [z; q; y]; see `StructuredPlant`."""
     plant_problem, inputs = problem(vehicle, controller.measured, controller.hardware), vehicle.linear_model.inputs
     weights = errors.of_forces(inputs, controller.measured), errors.of_readings(controller.measured)
     of_errors = _of_added_force(vehicle, controller.hardware.bandwidth, plant_problem.plant.B.shape, plant_problem.plant.D.shape)
@@ -77,7 +79,9 @@ def _systems(weights: list[Filter | None]) -> list[StateSpace | None]:
 def _of_added_force(
     vehicle: Vehicle, bandwidth: float | None, of_states: tuple[int, ...], of_z: tuple[int, ...]
 ) -> tuple[Array, Array]:
-    """Returns the matrices B and D of a force that is added to the requested force. z contains only the requested force."""
+    """Returns the matrices B and D of a force that is added to the requested force. The output z contains only the requested
+    force.
+    """
     forces = vehicle.linear_model.inputs
     other = [signal for signal, weight in vehicle.performance.items() if weight > 0 and signal not in forces]
     without = [replace(one, terms={name: by for name, by in one.terms.items() if name not in forces}) for one in vehicle.sums]

@@ -1,7 +1,7 @@
-"""Driver for exported code. The code receives the measurements and computes the commands of the actuators.
+"""Driver for exported controller code. The exported code receives the measurements and computes the commands of the actuators.
 
-Quantisation, delay, limits and anti-windup of the controller are part of the code. Sensor noise is added to the measurements
-before the code receives them.
+Quantisation, delay, limits and anti-windup of the controller are part of the exported code. Sensor noise is added to the
+measurements before the exported code receives the measurements.
 """
 
 from collections.abc import Sequence
@@ -24,17 +24,18 @@ NEARLY = 1 - 1e-6  # a limit counts as reached at this fraction of its value, be
 
 
 class CodeDriver:
-    """Exported code of N runs, each with its own state.
+    """Exported code that controls N runs; the code has a separate state for each run.
 
-    The code computes the commands. The parts of the forces that limits and dampers cut off are computed by the law itself, from
-    the code's measurements and states. These lost forces are recorded as in a run in which the law itself computes the forces.
+    The exported code computes the actuator commands. The lost forces (requested forces cut off by limits and dampers) are
+    computed by the law itself, from the code's measurements and states. Lost forces are recorded as in a run in which the law
+    itself computes the forces.
     """
 
     ahead = 0
     requests: Request = "commands"
 
     def __init__(self, controllers: Sequence[Controller | SemiActive], *_: object) -> None:
-        """Prepares N controllers that have the same code; each has its own vehicle."""
+        """Prepares N controllers that have the same exported code and control different vehicles."""
         self._controllers = controllers
         self._codes: list[ExportedCode] = [one.code for one in controllers]
         self._law, own = self._codes[0].law, controllers[0].law_key[0]
@@ -45,7 +46,7 @@ class CodeDriver:
         """See `sim.drive.driver.Driver.start`.
 
         Raises:
-            InputError: the code was exported for another law, sample period or vehicle than those of the run.
+            InputError: the code was exported for a control law, sample period or vehicle that differs from that of the run.
         """
         law, q, first = self._law, self._law.readings, vehicles[0]
         for one, code, vehicle in zip(self._controllers, self._codes, vehicles, strict=True):
@@ -92,7 +93,9 @@ class CodeDriver:
         return np.where(np.abs(given) >= NEARLY * most, ours, given), after
 
     def _ours(self, y: Array, state: Array) -> Array:
-        """Returns the commands of the law, shape (N, m) or (N, 2 m), from measurements and the states of the code."""
+        """Returns the commands that the control law computes from the measurements and the states of the code, shape (N, m) or
+        (N, 2 m).
+        """
         law, q = self._law, self._law.readings
         step = np.where(law.resolution > 0, law.resolution, 1.0)
         seen, closing = np.where(law.resolution > 0, step * np.round(y[:, :q] / step), y[:, :q]), y[:, q:]

@@ -20,7 +20,7 @@ IN_ORDER = 8  # smallest number of terms for which NumPy adds pairs of terms, in
 
 
 class LinearDriver:
-    """Linear laws of N runs with their anti-windup and their preview forces."""
+    """Linear control laws of N runs, including anti-windup and preview forces."""
 
     ahead = 0
     requests: Request = "forces"

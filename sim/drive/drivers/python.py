@@ -25,7 +25,9 @@ def in_python(controllers: Sequence[PythonController], failures: dict[int, Failu
 
 
 class PythonDriver:
-    """Python control law or FMU of N runs, each with its own state. A vectorised law is called once for all its runs."""
+    """Python control law or FMU that controls N runs, with a separate state for each run. A vectorised law is called once per
+    sample for all runs that it controls.
+    """
 
     requests: Request = "forces"
 
@@ -35,18 +37,18 @@ class PythonDriver:
         """Prepares the controller of the runs.
 
         Args:
-            failures: dictionary that receives the failures of the law, whose runs continue without forces; None to raise the
-                failures as errors.
-            numbers: keys of the N runs in `failures`.
+            failures: dictionary that receives the failures of the law; None to raise failures as errors. Runs with failures
+                continue without control forces.
+            numbers: keys that identify the N runs in `failures`.
         """
         self._controller, self._failures, self._numbers = controller, failures, numbers
         self.measured = controller.measured
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
-        """Executes the file of the law once for each run. See `Driver.start`.
+        """Executes the Python file of the control law once for each run. See `Driver.start`.
 
         Raises:
-            InputError: a law fails, and failures are not collected. `step` raises the same error.
+            InputError: a law fails, and failures are not collected. The method `step` raises the same error.
         """
         from models.laws.python_runtime import runs_of
 
@@ -81,7 +83,7 @@ class PythonDriver:
         return forces, state
 
     def _failed(self, error: InputError, runs: Sequence[int], together: bool = False) -> None:
-        """Records that the law has failed in the given runs, or raises the error if failures are not collected."""
+        """Records the runs in which the law has failed, or raises the error if failures are not collected."""
         if self._failures is None:
             raise error
         self._gone[runs] = True

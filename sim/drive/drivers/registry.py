@@ -1,4 +1,6 @@
-"""Drivers by name. Registry of drivers: for each type of control law, a class or function in its own file creates the driver."""
+"""Drivers by name. Registry of drivers: for each type of control law, a class or function in a separate file creates the
+driver.
+"""
 
 from collections.abc import Sequence
 
@@ -16,11 +18,11 @@ def driver_of(
 
     Args:
         name: name of a driver to use instead of the driver that belongs to the controllers.
-        failures: dictionary that receives the failures of Python control laws, whose runs continue without forces; None to
-            raise the failures as errors.
-        numbers: keys of the N runs in `failures`.
+        failures: dictionary that receives the failures of Python control laws; None to raise failures as errors. Runs with
+            failures continue without control forces.
+        numbers: keys that identify the N runs in `failures`.
 
     Raises:
-        InputError: there is no driver with this name.
+        InputError: there is no driver with the requested name.
     """
     return DRIVERS.load(name or controllers[0].driver_key[0])(controllers, failures, numbers)

@@ -19,7 +19,7 @@ class SemiActiveDriver:
     requests: Request = "coefficients"
 
     def __init__(self, controllers: Sequence[SemiActive], *_: object) -> None:
-        """Prepares N controllers with the same law. The parameters of the law may differ."""
+        """Prepares N controllers with the same law. The parameters of the law may differ between the controllers."""
         self._laws = [one.law for one in controllers]
         self.measured = self._laws[0].measured
 

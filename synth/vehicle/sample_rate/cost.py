@@ -1,8 +1,10 @@
-"""Cost of a low sample rate: exact norm of a loop as a function of the sample period, and stability limit of the loop.
+"""Cost of a low sample rate: exact norm of a loop as a function of the sample period, and the shortest period at which the loop
+is unstable.
 
-The stability limit is the shortest sample period at which the sampled-data loop is unstable. The search starts at the fastest
-rate. From one tested period to the next, the phase of each mode of vehicle and law advances by at most 0.1 rad. Modes that
-have decayed are ignored. The stability limit is then found by bisection between the last stable and the first unstable period.
+The stability limit is the shortest sample period at which the sampled-data loop is unstable. The search for the stability limit
+starts at the fastest sample rate. Successive tested periods are so close that the phase of each mode of vehicle and control law
+advances by at most 0.1 rad. Modes that decay completely within one sample period are ignored. The stability limit is then found
+by bisection between the last stable and the first unstable period.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -33,15 +35,16 @@ CLOSE = 1e-12  # the bisection ends if the relative difference between two perio
 
 
 def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: float) -> float:
-    """Returns the shortest sample period at which a loop is not stable [s]; infinite if it is stable up to `LONGEST_PERIOD`.
+    """Returns the shortest sample period at which a loop is not stable [s]; infinite if the loop is stable up to
+    `LONGEST_PERIOD`.
 
     Args:
-        vehicle: vehicle of the controller; the sample period and the delay in its `[implementation]` are not used.
-        controller: linear controller of this vehicle.
-        delay: delay from a measurement to the force computed from it [samples].
+        vehicle: vehicle to which the controller belongs; the sample period and the delay in `[implementation]` are not used.
+        controller: linear controller of the vehicle.
+        delay: delay from a measurement to the force that is computed from this measurement [samples].
 
     Returns:
-        Shortest unstable sample period [s]; 0 if the loop is unstable even at the highest rate.
+        Shortest sample period at which the loop is unstable [s]; 0 if the loop is unstable even at the highest sample rate.
     """
 
     def kept(period: float) -> bool:
@@ -61,7 +64,7 @@ def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: fl
 
 
 def _between(kept: Callable[[float], bool], before: float, after: float) -> float:
-    """Returns the stability limit between a stable and an unstable period [s], by bisection."""
+    """Returns the stability limit [s], which is found by bisection between a stable and an unstable sample period."""
     while after - before > CLOSE * after:
         middle = (before + after) / 2
         before, after = (middle, after) if kept(middle) else (before, middle)
@@ -69,7 +72,7 @@ def _between(kept: Callable[[float], bool], before: float, after: float) -> floa
 
 
 def _modes(vehicle: Vehicle, controller: Controller) -> Array:
-    """Returns the poles of the vehicle with its actuators, followed by the poles of the law itself [rad/s]."""
+    """Returns the poles of the vehicle including its actuators, followed by the poles of the control law itself [rad/s]."""
     return np.concatenate([np.linalg.eigvals(A) for A in (with_lag(vehicle).A, controller.law.continuous().A)])
 
 
@@ -81,8 +84,9 @@ class AtRate:
         period: sample period [s].
         undelayed_norm: norm of the loop without delay.
         delayed_norm: norm of the loop with the delay `Cost.delay`.
-        designed_norm: norm, without delay, of a controller that was designed for this rate; None if there is no such design.
-        design_failure: reason why the design for this rate failed; empty if no design failed.
+        designed_norm: norm, without delay, of a controller that was designed for this sample rate; None if there is no such
+            design.
+        design_failure: reason why the design for this sample rate failed; empty if no design failed.
     """
 
     period: float
@@ -97,12 +101,13 @@ class Cost:
     """Norms of a controller at several sample rates.
 
     Attributes:
-        controller: controller whose norms are given.
-        ideal: norm of the continuous loop with actuator lag and without noise; infinite if this loop is not stable.
-        lower_bound: lower bound on the norm with these measurements at any sample rate; None if no bound is known. The bound is
-            proved for time-invariant controllers, but time-varying controllers cannot be better (Khargonekar, Poolla 1986).
-        delay: delay of the forces that `delayed_norm` and `lost_late` take into account [samples].
-        rates: norms at each sample rate, in ascending order of the period.
+        controller: controller to which the norms belong.
+        ideal: norm of the continuous loop with actuator lag and without noise; infinite if the continuous loop is not stable.
+        lower_bound: lower bound on the norm for any controller with the same measurements at any sample rate; None if no bound
+            is known. The bound is proved for time-invariant controllers, but also holds for time-varying controllers, which
+            cannot be better (Khargonekar, Poolla 1986).
+        delay: delay of the control forces, for `delayed_norm` and `lost_late` [samples].
+        rates: norms at each sample rate, in ascending order of the sample period.
         unstable_period: shortest sample period at which the loop is not stable [s]; see `smallest_unstable_period`.
         lost_late: shortest sample period at which the loop with the delay `delay` is not stable [s].
     """
@@ -117,7 +122,7 @@ class Cost:
 
     @property
     def redesigned(self) -> bool:
-        """True if a design for any of the rates was made or attempted."""
+        """True if a design for any of the sample rates was made or attempted."""
         return any(at.designed_norm is not None or at.design_failure for at in self.rates)
 
     def loss(self, norm: SampledNorm) -> float:
@@ -135,15 +140,15 @@ def cost(
     """Computes the norms of a controller at several sample periods.
 
     Args:
-        vehicle: vehicle of the controller. From its `[implementation]`, only the delay is used; without a delay, 1 sample is
-            used.
+        vehicle: vehicle to which the controller belongs. Only the delay in `[implementation]` is used; without this key, the
+            delay is 1 sample.
         controller: linear controller.
         periods: sample periods in ascending order [s].
-        designs: periods for which a static controller is also redesigned [s].
+        designs: sample periods for which a static controller is also redesigned [s].
         done: function that is called with the number of sample periods that are finished.
 
     Raises:
-        DesignError: the loop has no finite norm at any sample rate, because a constant road height affects z.
+        DesignError: the loop has no finite norm at any sample rate, because a constant road height affects the output z.
     """
     if not has_sampled_norm(vehicle, controller):
         raise DesignError("the loop has no finite norm at any rate, because a constant road height affects z")
@@ -165,20 +170,22 @@ def cost(
 
 
 def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: float, near: float) -> SampledNorm:
-    """Returns the norm of a loop for a sample period [s] and a delay [samples]; the search starts at the estimate `near`."""
+    """Returns the norm of a loop for a sample period [s] and a delay [samples]; the search for the norm starts at the estimate
+    `near`.
+    """
     built = replace(vehicle, implementation=Implementation(period, delay))
     return sampled_norm(sampled_loop(built, controller.without_noise), near)
 
 
 def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns True if the controller can also be designed for a sampled-data loop, as a static gain without noise can."""
+    """Returns True if the controller could also be designed for a sampled-data loop, for example a static gain without noise."""
     entry = vehicle.controllers.get(controller.name)
     own = entry is None or goes("rates", entry.parts)
     return own and not controller.law.states and controller.law.acts and not any(controller.hardware.noise)
 
 
 def _norm_at_rate(vehicle: Vehicle, controller: Controller, period: float, near: float) -> tuple[SampledNorm | None, str]:
-    """Returns the norm of a gain that is designed for a sample period [s], or None and the reason if the design fails."""
+    """Returns the norm of a gain that is designed for a sample period [s]; if the design fails, returns None and the reason."""
     built = replace(vehicle, implementation=Implementation(period))
     entry = ControllerEntry(controller.name, controller.measured)
     try:
@@ -190,9 +197,10 @@ def _norm_at_rate(vehicle: Vehicle, controller: Controller, period: float, near:
 
 
 def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:
-    """Returns the lower bound on the norm for controllers without delay; the bound also holds with delay or lag.
+    """Returns the lower bound on the norm for controllers without delay; the bound also holds if there is a delay or an
+    actuator lag.
 
-    The result is None if z contains an integral, because the norms at the sample rates do not include the integral.
+    The result is None if the output z contains an integral, because the norms at the sample rates do not include this integral.
     """
     if vehicle.integrals:
         return None

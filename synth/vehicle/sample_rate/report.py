@@ -31,7 +31,8 @@ KINDS: dict[str, Kind] = {
 
 
 def describe(costs: Sequence[Cost], lag: str = "") -> Document:
-    """Returns a document about the cost of low sample rates: a summary with a row for each controller, and a table for each one.
+    """Returns a document about the cost of low sample rates: a summary with a row for each controller, and a table for each
+    controller.
 
     Args:
         costs: norms of each controller at several sample rates.
@@ -55,12 +56,12 @@ def describe(costs: Sequence[Cost], lag: str = "") -> Document:
 
 
 def about(one: Cost, lag: str, designs: bool) -> str:
-    """Explains the columns of the table.
+    """Returns notes that explain the columns of the table of sample rates.
 
     Args:
         one: norms of a controller at several sample rates.
-        lag: description of the actuator lag, which the norms in the design table do not include; empty if there is no lag.
-        designs: True if the table has a column of controllers designed for each rate.
+        lag: description of the actuator lag, which the norms in the table of designs do not include; empty if there is no lag.
+        designs: True if the table has a column for controllers that are designed for each sample rate.
     """
     designed = "designed: change with a gain designed for this rate. " if designs else ""
     text = (
@@ -72,7 +73,7 @@ def about(one: Cost, lag: str, designs: bool) -> str:
 
 
 def _table(one: Cost, lag: str, detail: Detail) -> Document:
-    """Returns a document about one controller, with its norm at each sample rate."""
+    """Returns a document about one controller, which contains the controller's norm at each sample rate."""
     ideal = NORM.digits(one.ideal) if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {LOWER_BOUND.digits(one.lower_bound)}" if one.lower_bound is not None else ""
     name = one.controller.name
@@ -90,13 +91,15 @@ HERTZ = Field[float]("rate", lambda rate: rate, ".4g", unit="Hz")
 
 
 def _cheap(one: Cost) -> AtRate:
-    """Returns the slowest sample rate whose increase of the norm counts as cheap, or the fastest rate if none is cheap."""
+    """Returns the slowest sample rate at which the norm increases by at most `LITTLE`, or the fastest rate if there is no such
+    rate.
+    """
     cheap = [at for at in one.rates if at.undelayed_norm.stable and one.loss(at.undelayed_norm) <= LITTLE]
     return cheap[-1] if cheap else one.rates[0]
 
 
 def _loss(one: Cost, kind: Kind, at: AtRate) -> str:
-    """Formats the relative change of a norm from the continuous norm; "UNSTABLE" if the loop is unstable."""
+    """Formats the relative difference between a norm and the norm of the continuous loop; "UNSTABLE" if the loop is unstable."""
     norm = kind(at)
     if norm is None or not norm.stable:
         return "UNSTABLE" if norm is not None else "-"
@@ -106,7 +109,7 @@ def _loss(one: Cost, kind: Kind, at: AtRate) -> str:
 
 
 def _cell(one: Cost, kind: Kind, at: AtRate) -> str:
-    """Formats a norm and its relative change."""
+    """Formats a norm and its relative difference from the norm of the continuous loop."""
     norm, loss = kind(at), _loss(one, kind, at)
     if norm is None or not norm.stable:
         return loss
@@ -114,7 +117,9 @@ def _cell(one: Cost, kind: Kind, at: AtRate) -> str:
 
 
 def _highest_unstable_rate(period: float) -> str | None:
-    """Formats the highest unstable rate; None if all rates are stable. A period of 0 means that no rate is stable."""
+    """Formats the highest sample rate at which the loop is unstable; None if the loop is stable at all rates. A period of 0
+    means that the loop is unstable at all sample rates.
+    """
     return None if math.isinf(period) else UNSTABLE_RATE.digits(1 / (period or SHORTEST))
 
 
@@ -122,7 +127,7 @@ UNSTABLE_RATE = Field[float]("rate", float, ".3g", unit="Hz")
 
 
 def failures(one: Cost) -> list[str]:
-    """Describes the checks of the norms that failed."""
+    """Describes, as text, which checks of the norms failed."""
     name = one.controller.name
     return [
         f"controller {name} at {1e3 * at.period:g} ms, {how}: {text}"
@@ -137,7 +142,9 @@ def failures(one: Cost) -> list[str]:
 
 
 def _norm(one: Cost, norm: SampledNorm | None) -> dict[str, Any] | None:
-    """Returns a norm with its relative change and its proof for JSON; None if the loop is not stable."""
+    """Returns, for JSON, a norm with its proof and its relative difference from the continuous norm; None if the loop is not
+    stable.
+    """
     if norm is None or not norm.stable:
         return None
     return {"value": norm.value, "loss": one.loss(norm), **PROOF(norm)}
@@ -171,7 +178,9 @@ PROMPT, LATE, DESIGNED_COLOUR, BEYOND = "#d62728", "#1f77b4", "#2ca02c", "#00000
 
 
 def drawn_periods(periods: Sequence[float]) -> list[float]:
-    """Returns the sample periods of a curve in ascending order [s]: the requested periods, and more periods between them."""
+    """Returns the sample periods of a curve in ascending order [s]: the requested periods, and additional periods between the
+    requested ones.
+    """
     between = np.geomspace(periods[0], periods[-1], POINTS) if len(periods) > 1 else []
     return sorted({*periods, *np.clip(between, periods[0], periods[-1]).tolist()})
 
@@ -227,7 +236,7 @@ def _panel(one: Cost, periods: Sequence[float]) -> Panel:
 
 
 def _norms(rates: Sequence[AtRate], kind: Kind) -> tuple[Array, Array]:
-    """Returns sample periods [ms] and norms; the norm of an unstable loop is NaN."""
+    """Returns the sample periods [ms] and the norms of a curve; the norm of an unstable loop is NaN."""
     norms = [norm.value for at in rates if (norm := kind(at)) is not None]
     return np.array([1e3 * at.period for at in rates]), np.where(np.isfinite(norms), norms, np.nan)
 

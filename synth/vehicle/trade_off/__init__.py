@@ -1,1 +1,1 @@
-"""Trade-offs: designs along a Pareto front, lower bounds on the front, and figures."""
+"""Trade-offs between two or three norms: designs along a Pareto front, lower bounds on the front, and figures."""

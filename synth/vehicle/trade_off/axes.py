@@ -1,4 +1,6 @@
-"""Axes of a trade-off, and the norm on each axis as a function of the gain. Each norm is minimised and has a proved bound."""
+"""Axes of a trade-off, and the norm on each axis as a function of the controller's gain. The norm on each axis is minimised and
+has a proved bound.
+"""
 
 import re
 from collections.abc import Mapping
@@ -38,9 +40,9 @@ class FrontAxis:
 
     Attributes:
         name: name of the axis: ride, travel, road_holding, force, band or tolerance.
-        norm: norm that is the value of the axis, with its signals and frequency band.
-        off: size of the relative error of each measurement. If it is not zero, the value of the axis is the worst norm for
-            errors up to this size.
+        norm: norm whose value is plotted on the axis, with the signals and the frequency band of this norm.
+        off: largest relative gain error of each measurement. If `off` is not zero, the value of the axis is the worst norm over
+            all errors up to this size.
         meaning: one-line description of the norm on this axis.
         unit: unit of the norm, per m/s of road velocity.
     """
@@ -61,7 +63,7 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
     """Returns the axes that a text such as `ride:travel` or `band=4-8:travel:force` describes.
 
     Raises:
-        InputError: the number of axes is wrong, or an axis is repeated, unknown, or without signals in this vehicle.
+        InputError: the number of axes is wrong, or an axis is repeated or unknown, or the vehicle has no signals for an axis.
     """
     parts = [part.strip() for part in text.split(":")]
     if not FEWEST <= len(parts) <= MOST:
@@ -83,7 +85,7 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
 
 
 def _axis(vehicle: Vehicle, name: str, given: str | None) -> FrontAxis:
-    """Returns the axis with this name and, if the text contains one, the value after the name."""
+    """Returns the axis with the name `name`; `given` is the text after "=", such as a frequency band, or None."""
     if name == "tolerance":
         return _tolerance(vehicle, given)
     if name == "force":
@@ -128,7 +130,7 @@ def _edges(given: str) -> tuple[float, float]:
 
 
 def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
-    """Returns the body accelerations to which `[performance]` gives weights, with these weights."""
+    """Returns the body accelerations that have weights in `[performance]`, with these weights."""
     weights = {
         name: weight
         for name, weight in vehicle.performance.items()
@@ -153,7 +155,7 @@ def _weight_text(signals: Mapping[str, float]) -> str:
 
 
 def _unit(vehicle: Vehicle, signals: Mapping[str, float]) -> str:
-    """Returns the unit of a norm of accelerations, or the text "weighted" if weights or units differ."""
+    """Returns the unit of a norm of accelerations, or the text "weighted" if the accelerations differ in weight or unit."""
     units = {vehicle.kind.signal(name).unit.replace("s2", "s²") for name in signals}
     return f"{units.pop()} per m/s" if len(units) == 1 and set(signals.values()) == {1.0} else "weighted, per m/s"
 
@@ -164,12 +166,12 @@ MOST_READINGS = 4
 
 @dataclass(frozen=True)
 class AxisValue:
-    """Value of a law on one axis.
+    """Value of a control law on one axis of a trade-off.
 
     Attributes:
         value: norm that is the value of the axis.
         proved: proved upper bound on the norm.
-        at: frequency at which the norm is attained [rad/s]; NaN for the worst norm over measurement errors.
+        at: frequency at which the gain equals the norm [rad/s]; NaN for the worst norm over measurement errors.
     """
 
     value: float
@@ -179,8 +181,8 @@ class AxisValue:
 
 @numerics()
 def norm_on(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, law: LinearLaw) -> AxisValue:
-    """Returns the value of a law on an axis; infinite if the loop with this law is unstable, with or without measurement
-    errors.
+    """Returns the value of a control law on an axis; infinite if the loop with this law is unstable, even if only for some
+    measurement errors.
     """
     problem = _axis_problem(vehicle, axis, entry)
     if axis.off and len(entry.measured):
@@ -198,18 +200,19 @@ def _axis_problem(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry) -> 
 
 
 def landscapes(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, like: Landscape) -> list[BandLandscape]:
-    """Returns the norm as a function of the gain (a landscape) for each combination of extreme measurement errors.
+    """Returns, for each combination of extreme measurement errors, the norm as a function of the controller's gain (a
+    landscape).
 
-    The value of the axis is the largest of these norms.
+    The value of the axis is the largest norm over all combinations of errors.
 
     Args:
-        vehicle: vehicle of the trade-off.
+        vehicle: vehicle for which the trade-off is computed.
         axis: axis of the trade-off.
         entry: section of the vehicle file that defines the controller.
-        like: landscape whose coordinates are used, so that the same points represent the same gains.
+        like: other landscape whose coordinates are used, so that a point represents the same gain in both landscapes.
 
     Raises:
-        InputError: there are too many combinations of errors.
+        InputError: there are too many combinations of measurement errors.
     """
     plant, (m, q) = _axis_problem(vehicle, axis, entry).plant, like.shape
     off = (GainErrors(errors, np.zeros(m)).on(plant) for errors in _corners(axis, q))

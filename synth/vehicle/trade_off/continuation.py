@@ -1,9 +1,9 @@
-"""Designs along a trade-off front by continuation: from the ends of the front, along rays between them.
+"""Designs along a trade-off front by continuation: first at the ends of the front, then along rays between the ends.
 
-A point u of the plane through the ends determines a ray. The design on this ray minimises the largest v_k / u_k, where v_k is
-the norm of axis k (Chebyshev's scalarisation). Every point of the front lies on a ray, whether the front is convex or not. Each
-descent works as in a design for goals. The descent starts at the known design that is best for the ray, so that the descent is
-short.
+A ray goes from the origin through a point u of the plane through the ends of the front. The design on the ray through u
+minimises the largest v_k / u_k, where v_k is the norm on axis k (Chebyshev's scalarisation). Every point of the front lies on a
+ray, whether the front is convex or not. Each gain is optimised by the same descent (numerical minimisation) as in a design for
+goals. Each descent starts at the known design that is best for the ray, so that few iterations are necessary.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,11 +32,11 @@ NOTHING = 1e-9  # a value of an axis counts as zero if it is below this multiple
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedGain:
-    """Gain with its norms on all axes.
+    """Gain of a controller, with the norms on all axes that it yields.
 
     Attributes:
-        x: coordinates of the gain in the landscape, shape (N,).
-        values: norms of the K axes, shape (K,).
+        x: coordinates that represent the gain in the landscape, shape (N,).
+        values: norms on the K axes, shape (K,).
         excess: relative violation of the bound that is violated most; see `Evaluation`.
     """
 
@@ -46,18 +46,20 @@ class EvaluatedGain:
 
 
 class FrontContinuation:
-    """Continuation of designs along the front of one problem.
+    """Continuation of designs along the trade-off front of one design problem.
 
     Attributes:
-        met: all stable gains with finite values that were evaluated at the start or the end of a descent.
+        met: all stabilising gains with finite norms that were evaluated at the start or the end of a descent.
     """
 
     def __init__(self, search: MinimaxSearch, axes: Sequence[Sequence[BandLandscape]], starts: Sequence[Array]) -> None:
         """Evaluates the starting points of the continuation.
 
         Args:
-            search: search with bounds, structure and starts; its goal is not used.
-            axes: landscapes (norms as functions of the gain) of each axis; the largest of their norms is the value of the axis.
+            search: search object, which contains the bounds, the structure of the gain and starting points; the goal in it is
+                not used.
+            axes: landscapes (norms as functions of the gain) for each axis; the value on the axis is the largest of these
+                norms.
             starts: starting gains, each of shape (m, q).
 
         Raises:
@@ -85,7 +87,7 @@ class FrontContinuation:
                 raise DesignError(search.explain_infeasibility(x))
 
     def evaluate(self, x: Array) -> EvaluatedGain | None:
-        """Evaluates and stores a point. Returns None if the loop at this point is unstable."""
+        """Evaluates and stores the gain at the point `x`. Returns None if the loop with this gain is unstable."""
         values = np.array([max(landscape.norm(x)[0] for landscape in of) for of in self.axes])
         if not np.all(np.isfinite(values)):
             return None
@@ -94,24 +96,24 @@ class FrontContinuation:
         return self.met[-1]
 
     def gain(self, evaluated: EvaluatedGain) -> Array:
-        """Returns the gain K, shape (m, q)."""
+        """Returns the gain K of an evaluated point, shape (m, q)."""
         return self.search.full.gain(evaluated.x)
 
     def ends(self) -> Array:
         """Returns the norms at the ends of the front, shape (K, K).
 
-        Row k contains the norms at the end where axis k is within 0.1 % of its smallest value.
+        Row k contains the norms at the end where the norm on axis k is within 0.1 % of its smallest value.
         """
         return np.array([self._end(k).values for k in range(len(self.axes))])
 
     def step_along(self, unit: Array) -> EvaluatedGain:
-        """Returns the best design on the ray through a point `unit` with no negative entry, shape (K,)."""
+        """Returns the best design on the ray through the point `unit`, whose entries are not negative, shape (K,)."""
         unit = np.maximum(unit, NOTHING * np.max([each.values for each in self.met], axis=0))
         start = min(self.met, key=lambda each: float(np.max(each.values / unit)) * (1 + RANK * max(each.excess, 0.0)))
         return self._descend(start, {k: float(unit[k]) for k in range(len(unit))}, {})
 
     def _end(self, k: int) -> EvaluatedGain:
-        """Returns the end of the front at which axis k is smallest."""
+        """Returns the design at that end of the front where the norm on axis k is smallest."""
         start = min((each for each in self.met if each.excess <= BOUND_TOLERANCE), key=lambda each: float(each.values[k]))
         for _ in range(TIMES):
             if start.values[k] <= NOTHING * max(each.values[k] for each in self.met):
@@ -136,10 +138,11 @@ class FrontContinuation:
         return start
 
     def _descend(self, start: EvaluatedGain, goals: dict[int, float], bounds: dict[int, float]) -> EvaluatedGain:
-        """Minimises the largest of the norms on some axes, each divided by its entry of `goals`, with bounds on other axes.
+        """Minimises the largest norm among some axes, each norm divided by the axis's entry in `goals`, with bounds on the
+        other axes.
 
         Returns:
-            The end of the descent; `start` if the loop at the end is unstable.
+            The gain at the end of the descent; `start` if the loop with this gain is unstable.
         """
         terms = {k: [NormTerm(landscape, unit) for landscape in self.axes[k]] for k, unit in goals.items()}
         bounding = [NormTerm(landscape, most * (1 - TIGHTER)) for k, most in bounds.items() for landscape in self.axes[k]]
@@ -150,11 +153,11 @@ class FrontContinuation:
 
 
 def rays(ends: Array, count: int) -> Iterator[Array]:
-    """Yields about `count` points of the plane through the ends. Successive points are neighbours.
+    """Yields about `count` points of the plane through the ends of the front. Successive points are neighbours.
 
     Args:
-        ends: norms at the ends, shape (K, K), where K is 2 or 3.
-        count: requested number of points. For three ends, the nearest number that forms a triangular lattice is used.
+        ends: norms at the ends of the front, one row per end, shape (K, K), where K is 2 or 3.
+        count: requested number of points. For three ends, the nearest number of points that form a triangular lattice is used.
     """
     if len(ends) == 2:
         for share in np.linspace(0, 1, count):
@@ -168,17 +171,18 @@ def rays(ends: Array, count: int) -> Iterator[Array]:
 
 
 def rays_of(axes: int, count: int) -> int:
-    """Returns the possible number of rays between two or three axes that is closest to the requested count."""
+    """Returns the number of rays that is possible for two or three axes and closest to the requested count."""
     return count if axes == 2 else (_sides(count) + 1) * (_sides(count) + 2) // 2
 
 
 def _sides(count: int) -> int:
-    """Returns the number of intervals per side of a triangular lattice with about `count` points."""
+    """Returns the number of intervals on each side of a triangular lattice with about `count` points."""
     return max(1, round((np.sqrt(8 * count + 1) - 3) / 2))
 
 
 def undominated_rows(values: Array) -> Array:
-    """Returns a mask of the rows that no other row dominates, shape (N,). Only the first of several equal rows is included.
+    """Returns a mask of the designs (rows) that no other design dominates, shape (N,). The mask includes only the first of
+    several equal rows.
 
     Args:
         values: values of N designs on K axes, shape (N, K).

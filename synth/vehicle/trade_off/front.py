@@ -1,4 +1,4 @@
-"""Trade-off of a vehicle between two or three axes: certified designs, lower bounds, and other controllers."""
+"""Trade-off between two or three norms of a vehicle (axes): certified designs, lower bounds, and other controllers."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
@@ -38,12 +38,12 @@ MARKED_POINTS = 9  # number of representative points of the trade-off
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Design on the front, or another controller for comparison.
+    """Design on the trade-off front, or a different controller for comparison.
 
     Attributes:
         controller: controller with its certificate for `[performance]`.
-        norms: value of the controller on each axis, with its proved bound.
-        travel: largest suspension deflection over the paper's bump [m]; None if it is not requested, or if the vehicle has no
+        norms: norm that the controller achieves on each axis, with a proved bound.
+        travel: largest suspension deflection over the paper's bump [m]; None if it was not computed, or if the vehicle has no
             suspension.
     """
 
@@ -65,12 +65,12 @@ class Front:
         vehicle: vehicle of the trade-off.
         name: name of the controller whose measurements, bounds and structure the designs use.
         axes: axes of the trade-off.
-        points: designs that no other design dominates, in ascending order of the first axis.
+        points: designs that no other design dominates, in ascending order of the norm on the first axis.
         others: other controllers of the vehicle file, for comparison.
-        missing: names of the other controllers that are omitted, each with the reason.
+        missing: reason for each controller of the vehicle file that is not compared, by name of the controller.
         limits: lower-bound curve for each pair of axes.
         design_count: number of designs that were tried.
-        unproved: number of designs that are omitted because a claim is not proved.
+        unproved: number of designs that are omitted because a norm or another claim could not be proved.
     """
 
     vehicle: Vehicle
@@ -85,12 +85,12 @@ class Front:
 
     @property
     def values(self) -> Array:
-        """Norms of the N points on the K axes, shape (N, K)."""
+        """Norms of the N designs on the K axes, shape (N, K)."""
         return np.array([point.values for point in self.points]).reshape(-1, len(self.axes))
 
     @property
     def marked(self) -> list[int]:
-        """Indices of the points that represent the front in tables and simulations."""
+        """Indices of the designs that represent the front in tables and simulations."""
         return marked_indices(len(self.points))
 
 
@@ -103,19 +103,19 @@ def front(
     count: int = DESIGNS,
     on_progress: Callable[[int], None] = lambda done: None,
 ) -> Front:
-    """Computes the trade-off front of static gains with the measurements of a controller.
+    """Computes the trade-off front of static gains that use the same measurements as a controller of the vehicle.
 
     Args:
         vehicle: vehicle of the trade-off.
         name: name of the controller whose measurements, bounds and structure the designs use.
-        axes: two or three axes.
-        others: names of controllers that are shown for comparison.
-        count: approximate number of designs that are made.
+        axes: two or three axes of the trade-off.
+        others: names of other controllers that are shown for comparison.
+        count: approximate number of designs to make.
         on_progress: function that is called with the number of finished designs.
 
     Raises:
-        InputError: designs cannot be based on this controller (see `entry_of`), or the controller has too many measurements for
-            an axis with errors.
+        InputError: designs cannot be based on this controller (see `entry_of`), or it has too many measurements for an axis
+            with measurement errors.
         DesignError: no gain satisfies the bounds.
     """
     entry, designer = entry_of(vehicle, name), Designer(vehicle)
@@ -155,7 +155,7 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
     """Returns the section of the controller on which the designs of a front are based.
 
     Raises:
-        InputError: the designs of a front cannot be based on this section.
+        InputError: the designs of a front cannot be based on the controller's section.
     """
     if name == "state":
         return ControllerEntry(name, vehicle.linear_model.states)
@@ -174,7 +174,9 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
 
 
 def _over_the_bump(vehicle: Vehicle, entry: ControllerEntry, points: Sequence[Point]) -> Iterator[tuple[int, float]]:
-    """Yields the index of each representative point and its largest suspension deflection over the paper's bump [m]."""
+    """Yields the index of each representative design, and the largest suspension deflection that this design has over the
+    paper's bump [m].
+    """
     signals = [name for name in vehicle.linear_model.outputs if name.startswith("suspension_deflection")]
     if not signals:
         return
@@ -185,7 +187,7 @@ def _over_the_bump(vehicle: Vehicle, entry: ControllerEntry, points: Sequence[Po
 
 
 def marked_indices(count: int) -> list[int]:
-    """Returns the indices of representative points, evenly spaced from the first to the last."""
+    """Returns the indices of representative designs, evenly spaced from the first design to the last."""
     return sorted({round(i) for i in np.linspace(0, count - 1, MARKED_POINTS)}) if count else []
 
 
@@ -211,9 +213,10 @@ def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) 
 def _others(
     designer: Designer, axes: Sequence[FrontAxis], names: Sequence[str], loads: Sequence[tuple[str, float]]
 ) -> Iterator[tuple[str, Point | str]]:
-    """Yields the name of each other controller, and its values on the axes, with the same loads as for the designs.
+    """Yields the name of each controller for comparison, and its values on the axes, computed with the same loads as the
+    designs.
 
-    For a controller that is omitted, the second item is the reason.
+    For a controller that is omitted, the reason is yielded instead of the values.
     """
     for name in names:
         try:

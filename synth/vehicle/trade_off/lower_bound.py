@@ -1,16 +1,17 @@
-"""Joint lower bounds on two norms.
+"""Joint lower bounds on two norms of the same loop.
 
 The bounds are proved for all controllers, even for controllers that measure all states and the road.
 
-For any controller, the norm of the stacked outputs [a z_i; b z_j] is at most (a^2 v_i^2 + b^2 v_j^2)^1/2, where v_i and v_j are
-the norms of z_i and z_j. Let g be a lower bound on the norm of the stack for some weights a and b. No controller therefore lies
-in the ellipse
+Let v_i and v_j be the norms from the disturbance w to two outputs z_i and z_j. For any controller, the norm to the stacked
+outputs [a z_i; b z_j] is at most (a^2 v_i^2 + b^2 v_j^2)^1/2. Let g be a lower bound on the norm to the stacked outputs for
+some weights a and b. The norms of a controller therefore never lie in the ellipse
 
     a^2 v_i^2 + b^2 v_j^2 < g^2.
 
-The bounds for many weights together give a curve. The bound also holds for the norm in a band if, at a frequency of the band,
-no control force can change a direction of z. The weights are powers of two, so that the numbers of the plant are not rounded.
-The proofs, which are exact, then apply to the plant itself.
+The bounds for many pairs of weights together form a lower-bound curve. The bound also holds for the norm in a frequency band
+if, at a frequency in this band, no control force can change some component of z. The weights are powers of two, so that
+multiplication by the weights does not round the entries of the plant's matrices. The exact proofs therefore apply to the plant
+itself, not to a rounded plant.
 """
 
 import contextlib
@@ -34,12 +35,12 @@ DOWN = 1 - 1e-12  # factor that reduces the lower bound, to allow for rounding o
 
 @dataclass(frozen=True, eq=False)
 class LowerBoundCurve:
-    """Lower-bound curve for a pair of axes.
+    """Lower-bound curve for the norms on a pair of axes.
 
     Attributes:
         axes: indices of the two axes.
-        weights: weights of both outputs in M stacks of outputs, shape (M, 2).
-        norms: lower bounds on the norm of each stack, shape (M,).
+        weights: weights of the two outputs in each of M weighted stacks of both outputs, shape (M, 2).
+        norms: lower bound on the norm of each weighted stack of both outputs, shape (M,).
     """
 
     axes: tuple[int, int]
@@ -47,7 +48,9 @@ class LowerBoundCurve:
     norms: Array
 
     def lower_bound_on_second(self, first: Array) -> Array:
-        """Returns the lower bound on the second axis for N values of the first axis, shape (N,); NaN for impossible values."""
+        """Returns the lower bound on the second norm for N values of the first norm, shape (N,); NaN for values that no
+        controller attains.
+        """
         with np.errstate(all="ignore"):
             left = (self.norms**2)[:, None] - (self.weights[:, :1] * first) ** 2
             of = np.where(self.weights[:, 1:] > 0, np.sqrt(np.maximum(left, 0.0)) / self.weights[:, 1:], 0.0)
@@ -59,7 +62,7 @@ class LowerBoundCurve:
         curve.
 
         Args:
-            values: values of the points on both axes, shape (N, 2).
+            values: values of the N points on both axes, shape (N, 2).
         """
         reached = np.sqrt((np.asarray(values) ** 2) @ (self.weights**2).T)
         with np.errstate(all="ignore"):
@@ -70,7 +73,7 @@ def limits(plants: list[Plant], bands: list[Band], units: Array) -> Iterator[Low
     """Yields the lower-bound curves for all pairs of axes.
 
     Args:
-        plants: plant of each axis; the plants differ only in z.
+        plants: plant for each axis; the plants differ only in the output z.
         bands: frequency band of each axis [rad/s].
         units: typical size of the norms on each axis, shape (K,).
     """

@@ -33,13 +33,13 @@ Row = tuple[str, Point, Array | None, str]  # name of the controller, point, val
 def describe(front: Front, measured: Array | None = None, most: int = MARKED_POINTS) -> Document:
     """Returns a document that describes a trade-off front.
 
-    The document contains the ranges of the front, the comparison with other controllers, some points, and their distance from
-    the lower bounds.
+    The document contains the ranges of the norms, the comparison with other controllers, some designs, and the gap between
+    designs and lower bounds.
 
     Args:
         front: trade-off front that the document describes.
-        measured: values of the M representative points in MuJoCo, shape (M, K), NaN if missing; None if nothing was simulated.
-        most: largest number of representative points in the table.
+        measured: values of M representative designs in MuJoCo, shape (M, K), NaN if missing; None if nothing was simulated.
+        most: largest number of representative designs in the table.
     """
     shown = dict.fromkeys(round(i) for i in np.linspace(0, len(front.marked) - 1, min(most, len(front.marked))))
     others = {one.controller.name: one for one in front.others}
@@ -76,7 +76,9 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED_POI
 
 
 def _results(front: Front) -> list[str]:
-    """Describes the range of the front on each axis and, for each other controller, the number of designs that dominate it."""
+    """Describes the range of the front on each axis, and the number of designs that dominate each controller shown for
+    comparison.
+    """
     columns = zip(front.axes, front.values.T, strict=True)
     ends = ", ".join(f"{axis.name} from {VALUE.digits(values.min())} to {VALUE.digits(values.max())}" for axis, values in columns)
     beaten = {}
@@ -102,7 +104,7 @@ DESIGN = Record[Point](Record(measured="controller.measured", gain="controller.g
 
 
 def _design(front: Front, point: Point, /, **named: Any) -> dict[str, Any]:
-    """Returns a design as JSON: first the values in `named`, then the norms on all axes and the gain."""
+    """Returns a design as JSON: first the entries of `named`, then the norms on all axes, and the gain."""
     axes = zip(front.axes, point.norms, strict=True)
     return {**named, "values": {axis.name: CLAIM(norm) for axis, norm in axes}, **DESIGN(point)}
 
@@ -124,9 +126,9 @@ RECORD = Record[Front](
 
 
 def write_csv(front: Front, path: Path) -> None:
-    """Writes a CSV file in SI units with a row for each point and each other controller.
+    """Writes a CSV file in SI units, with a row for each design on the front and each controller shown for comparison.
 
-    Cells for unknown numbers and for the gains of other controllers are empty.
+    Cells for unknown values, and for the gains of controllers shown for comparison, are empty.
     """
     names, (m, q) = [axis.name for axis in front.axes], front.points[0].controller.gain.shape
     entries = [f"gain_{i + 1}_{j + 1}" for i in range(m) for j in range(q)]
@@ -153,7 +155,7 @@ def _limit_texts(front: Front) -> list[str]:
 
 
 def _gain(point: Point) -> str:
-    """Formats all entries of the gain if they fit on a line; otherwise returns their number as text."""
+    """Formats all entries of the gain if they fit on a line; otherwise returns a text that states the number of entries."""
     entries = point.controller.gain.ravel()
     return " ".join(map(entry, entries)) if len(entries) <= 4 else f"{len(entries)} entries"
 
@@ -171,7 +173,7 @@ def front_figure(front: Front, measured: Array | None = None) -> Figure:
 
     Args:
         front: trade-off front that the figure shows.
-        measured: values of the M representative points in MuJoCo, shape (M, K), NaN if missing; None if nothing was simulated.
+        measured: values of M representative designs in MuJoCo, shape (M, K), NaN if missing; None if nothing was simulated.
     """
     panels = tuple(_panel(front, limit, measured) for limit in front.limits)
     kind = front.vehicle.kind.name.replace("_", " ")
@@ -180,7 +182,7 @@ def front_figure(front: Front, measured: Array | None = None) -> Figure:
 
 
 def line(limit: LowerBoundCurve, x: tuple[float, float], y: tuple[float, float]) -> tuple[Array, Array]:
-    """Returns the lower-bound curve within ranges of both axes, from the upper left to the lower right."""
+    """Returns the points of the lower-bound curve within the ranges of both axes, from the upper left to the lower right."""
     first, second = np.linspace(*x, FINE), np.linspace(*y, FINE)
     turned = LowerBoundCurve((limit.axes[1], limit.axes[0]), limit.weights[:, ::-1], limit.norms)
     a, b = np.append(first, turned.lower_bound_on_second(second)), np.append(limit.lower_bound_on_second(first), second)
@@ -224,7 +226,7 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
 def _together(
     others: dict[str, tuple[float, float]], beyond: Array, ranges: tuple[tuple[float, float], tuple[float, float]]
 ) -> list[list[str]]:
-    """Returns the names of the controllers that the figure shows; controllers at the same position form a group."""
+    """Returns the names of the controllers that the figure shows; names of controllers at the same position are grouped."""
     size, groups = np.array([high - low for low, high in ranges]), list[list[str]]()
     for (name, place), far in zip(others.items(), beyond, strict=True):
         near = [names for names in groups if np.all(np.abs(np.subtract(place, others[names[0]])) < SAME * size)]
@@ -236,7 +238,9 @@ def _together(
 
 
 def _shown_range(values: Array, others: Array) -> tuple[tuple[tuple[float, float], tuple[float, float]], Array]:
-    """Returns the ranges of both axes, and a mask of the other controllers that are outside these ranges, shape (N,)."""
+    """Returns the ranges of both axes, and a mask of the N controllers for comparison that lie outside these ranges, shape
+    (N,).
+    """
     low, high = values.min(axis=0), values.max(axis=0)
     size = np.where(high > low, high - low, np.where(high > 0, high, 1.0))
     beyond = np.any((others > high + BESIDE * size) | (others < low - BESIDE * size), axis=1)
