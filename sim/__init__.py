@@ -1,7 +1,7 @@
 """Simulations in MuJoCo, their comparison with linear analysis, logs, and the commands of Roadproof.
 
-Start with `run`, which drives a controller over a road and returns a `Run`. Each public name is imported when it is first used.
-All units are SI. The public names are:
+Start with `run`, which simulates a vehicle with a controller on a road and returns a `Run`. Each public name is imported when
+it is first used. All units are SI. The public names of this package are:
 
 - Simulate: `run` and its result `Run`; `sample_times`; `Response`, the signals of a run, with `to_pandas` and `to_control`.
 - Evaluate a run: `measure_run` returns ride, suspension travel and road holding as `RunMetrics`.

@@ -12,7 +12,9 @@ from models.kinds.linear_model import LinearModel
 
 
 def wheel_model(kind: VehicleKind, parameters: Parameters) -> LinearModel:
-    """Returns the linear model whose inputs are forces at the wheels, each an actuator force times its motion ratio."""
+    """Returns the linear model whose inputs are the forces at the wheels; each force at a wheel is an actuator force times its
+    motion ratio.
+    """
     return kind.model(kind.at_wheels(parameters))
 
 

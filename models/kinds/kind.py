@@ -34,8 +34,8 @@ class Variation(CheckedFields):
 
     Attributes:
         name: name of the varied quantity.
-        smallest: smallest factor on the parameter.
-        largest: largest factor on the parameter.
+        smallest: smallest factor by which the parameter is multiplied.
+        largest: largest factor by which the parameter is multiplied.
 
     Raises:
         InputError: a factor is not above 0.
@@ -54,7 +54,7 @@ class Parameter(CheckedFields):
         name: key in `[parameters]`.
         unit: SI unit of the number.
         meaning: description in one line.
-        positive: True if 0 is not allowed. Infinite, NaN and extremely large values are never allowed.
+        positive: True if the value 0 is not allowed. Infinite, NaN and extremely large values are never allowed.
         varied: argument without effect, which vehicle types written for earlier versions may still contain.
         largest: largest allowed value.
         usual: default value; None for a parameter without a default.
@@ -161,7 +161,7 @@ class Wheel(CheckedFields):
 class DampedTyre:
     """Tyre with stiffness k and damping c.
 
-    The force is k times the equivalent deflection t + (c / k) (z_u' - z_r').
+    The tyre force is k times the equivalent deflection t + (c / k) (z_u' - z_r'), where t is the tyre deflection.
 
     Attributes:
         hub: signal of the hub velocity z_u'.
@@ -180,13 +180,15 @@ class Suspension(CheckedFields):
 
     Attributes:
         deflection: signal of the suspension's extension.
-        tendon: name of the MJCF tendon of the suspension. A bump stop acts in parallel with this tendon.
+        tendon: name of the MJCF tendon of the suspension. A bump stop of the suspension acts in parallel with the tendon.
         force: name of the input that acts along the suspension; empty for a passive suspension.
-        stiffness: name of the parameter of the spring; empty without a spring. A characteristic can replace the parameter.
-        damping: name of the parameter of the damper; empty without a damper. A characteristic can replace the parameter.
+        stiffness: name of the parameter of the spring; empty without a spring. A nonlinear characteristic can replace this
+            parameter.
+        damping: name of the parameter of the damper; empty without a damper. A nonlinear characteristic can replace this
+            parameter.
         ratio: name of the parameter of the motion ratio: travel of all elements of the suspension, divided by the wheel travel.
-            Empty if the elements act directly at the wheel. The equations of a vehicle type are for elements at the wheel;
-            `VehicleKind.at_wheels` converts the parameters.
+            The name `ratio` is empty if the spring, damper and actuator act directly at the wheel. The equations of a vehicle
+            type assume that all elements act at the wheel; `VehicleKind.at_wheels` converts the parameters accordingly.
     """
 
     deflection: Name
@@ -212,7 +214,7 @@ class Suspension(CheckedFields):
 
     @property
     def velocity(self) -> Signal:
-        """Signal of the extension rate."""
+        """Signal of the suspension's extension rate."""
         common = self.deflection.startswith(SUSPENSION_DEFLECTION.name)
         corner = self.corner if common else self.deflection
         return SUSPENSION_VELOCITY.at(corner) if corner else SUSPENSION_VELOCITY
@@ -225,7 +227,8 @@ class BodyLoad(CheckedFields):
     Attributes:
         name: name of the load in the linear model: `heave_load` [N], `pitch_load` or `roll_load` [N m], or `wheel_load_...`
             [N].
-        joint: slide or hinge joint of the MJCF along which the load acts. Load and joint have the same positive direction.
+        joint: slide or hinge joint of the MJCF along which the load acts. The load and the joint have the same positive
+            direction.
     """
 
     name: str
@@ -242,7 +245,7 @@ class Invariant(CheckedFields):
         name: name of the transmissibility, such as "z_s/z_r".
         signals: signals whose sum is the output of the transmissibility.
         omega: function of the parameters: angular frequency [rad/s].
-        magnitude: function of the parameters: magnitude of the transmissibility at this frequency, above 0.
+        magnitude: function of the parameters: magnitude of the transmissibility at the frequency `omega`, above 0.
     """
 
     name: str
@@ -256,7 +259,7 @@ class RidePoints:
     """Points at which the ride is measured, each given by the signal of its vertical acceleration.
 
     Attributes:
-        people: points at which a person sits or stands; may be empty. If the vehicle type does not name these points, the
+        people: points at which a person sits or stands; may be empty. If the vehicle type does not name points for people, the
             masses above the body are used.
         others: remaining points of the body at which the ride is measured.
         named: True if the vehicle type gives names to the points at which a person sits or stands.
@@ -268,7 +271,7 @@ class RidePoints:
 
     @property
     def all(self) -> tuple[str, ...]:
-        """All points. The points at which a person sits or stands come first."""
+        """All points. In the list of points, those at which a person sits or stands come first."""
         return (*self.people, *self.others)
 
     @property
@@ -293,17 +296,17 @@ class VehicleKind(CheckedFields):
         linear_model: function of the parameters: `LinearModel` of all signals, including the signals on demand. The method
             `model` returns the linear model with only the outputs in `signals`.
         static_tyre_deflection: function of the parameters: compression of each tyre in equilibrium [m], by tyre deflection
-            signal. A wheel leaves the ground if its tyre deflection (for a `DampedTyre`, the equivalent deflection) exceeds
-            this value.
+            signal. A wheel leaves the ground if its tyre deflection (for a `DampedTyre`, the equivalent deflection) exceeds the
+            compression in equilibrium.
         write_mjcf: function of an `MjSpec` and of the parameters. The function writes the parameters into the `MjSpec`, which
             is read from the type's `.xml` file, without importing MuJoCo.
         folder: folder of the `.xml` file.
         check_together: function of the parameters: raises InputError if parameters that are valid individually are not a valid
             vehicle in combination.
         combined: signals without a sensor that are weighted sums of other signals, as {name: {other signal: factor}}.
-        suspended: suspensions of the type. None means: there is one suspension for each signal `suspension_deflection...`. The
-            suspension's tendon `suspension...` and its force `control_force...`, if it exists, have the same suffix as this
-            signal.
+        suspended: suspensions of the type. If `suspended` is None, there is one suspension for each signal
+            `suspension_deflection...`. The suspension's tendon `suspension...` and its force `control_force...`, if it exists,
+            have the same suffix as the deflection signal.
         invariants: transmissibilities that no suspension force can change.
         on_demand: signals that a vehicle has only if its file names them. Signals on demand are outputs and sensors like other
             signals, but take no computing time if the file does not name them.
@@ -312,22 +315,24 @@ class VehicleKind(CheckedFields):
         wheel_loads: function of the parameters: loads on the wheels due to suspension links and wheel inertia, if the vehicle
             file describes them.
         carried: function that returns the loads that suspension links and wheel inertia cause in addition to the moment of a
-            force on the body. The arguments of this function are the parameters, the direction, the force [N] and the
-            acceleration of the wheels [m/s2]. The direction is "roll_load" for a force to the right, or "pitch_load" for a
-            forward force.
+            force on the body. The arguments of `carried` are the parameters, the direction, the force [N] and the acceleration
+            of the wheels [m/s2]. The direction is "roll_load" for a force to the right, or "pitch_load" for a forward force.
         angles: function of the parameters: angles of the body relative to level ground [rad], each as a weighted sum of
-            signals. The result has the form {"pitch_angle": {signal: factor}, "roll_angle": {signal: factor}}.
-        motion: function of the parameters: exact equations of motion, independent of the MJCF. The value is None if the type
-            has no exact equations; MuJoCo is then compared only with the linear model.
+            signals. The function returns a mapping of the form {"pitch_angle": {signal: factor}, "roll_angle": {signal:
+            factor}}.
+        motion: function of the parameters: exact equations of motion, independent of the MJCF. If the type has no exact
+            equations, `motion` is None and MuJoCo is compared only with the linear model.
         static_loads: function of the parameters: weight of the body on each suspension [N], by deflection signal; empty if
             unknown.
         ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by the name of
-            the ratio's parameter. Empty, except in the copy of the type that belongs to a vehicle with such ratios.
+            the ratio's parameter. The mapping is empty, except in the copy of the type that belongs to a vehicle whose motion
+            ratios change with travel.
         people: signals of the accelerations [m/s2] at points where a person sits or stands, the most important point first.
-            None means the signals of the masses above the body, if a vehicle has such masses. An empty tuple means that there
-            is no person.
+            If `people` is None, the signals of the masses above the body are used, if a vehicle has such masses. If `people` is
+            an empty tuple, no person is on the vehicle.
         of_parts: signals of the internal states of force elements. The signals of internal states are also part of `signals`,
-            but have no sensors. Empty, except in the copy of the type that belongs to a vehicle with such elements.
+            but have no sensors. The tuple is empty, except in the copy of the type that belongs to a vehicle whose force
+            elements have internal states.
         lacking: parameters that the type does not have although a user may expect them, as {beginning of the name: reason}.
     """
 
@@ -558,7 +563,7 @@ class VehicleKind(CheckedFields):
 
     @property
     def mjcf(self) -> Path:
-        """Path of the MJCF of the vehicle type."""
+        """Path of the vehicle type's MJCF file."""
         return self.folder / f"{self.name}.xml"
 
     def check_each(self, parameters: Mapping[str, Any]) -> dict[str, float]:
@@ -624,7 +629,7 @@ class VehicleKind(CheckedFields):
         return RidePoints(people, tuple(name for name in names if name not in people), self.people is not None)
 
     def signal(self, name: str) -> Signal:
-        """Returns the signal with a name. The vehicle type must have this signal."""
+        """Returns the signal with the name `name`. The vehicle type must have a signal with this name."""
         return next(signal for signal in self.signals if signal.name == name)
 
 

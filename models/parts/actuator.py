@@ -16,7 +16,7 @@ from models.parts.part import Part
 
 @dataclass(frozen=True, eq=False)
 class Actuator(Part):
-    """Force that pushes body and wheel apart. The input u of the part is the force [N]."""
+    """Actuator force that pushes body and wheel apart. The input u of the actuator is its force [N]."""
 
     inputs = 1
 

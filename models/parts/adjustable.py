@@ -1,7 +1,7 @@
-"""Semi-active dampers in a vehicle, and the characteristics that act in parallel with them.
+"""Semi-active dampers in a vehicle, and the nonlinear characteristics that act in parallel with them.
 
 If a suspension with a semi-active damper also has a characteristic in `[curves]`, the characteristic acts in parallel with the
-damper, like the friction of a strut. At every setting of the damper, only the deviation of this characteristic from its
+damper, like the friction of a strut. At every setting of the damper, only the deviation of the parallel characteristic from its
 linearisation acts, because the semi-active damper replaces the linear part.
 
 If c_s is the nominal coefficient and c_s + d the set coefficient, the damper and the parallel characteristic together pull with
@@ -9,8 +9,8 @@ the force
 
     c_s v + g(v) + d h(v).
 
-Here h(v) = v, except for a damper with two characteristics (`models.characteristics.adjustable_range`). The deviation g is the
-sum of two deviations from linearisations: of the nominal setting, and of the parallel characteristic.
+The function h is h(v) = v, except for a damper with two characteristics (`models.characteristics.adjustable_range`). The
+deviation g is the sum of two deviations from linearisations: of the nominal setting, and of the parallel characteristic.
 """
 
 from collections.abc import Iterator, Sequence
@@ -51,7 +51,7 @@ class Adjustable(SettablePart):
 
     @cached_property
     def line(self) -> Line:
-        """See `Part.line`. The linearisation is that of the damper at its nominal setting."""
+        """See `Part.line`. The linearisation of the force is that of the damper at its nominal setting."""
         return Line(0.0, self.ratio**2 * self.nominal)
 
     @property
@@ -65,7 +65,7 @@ class Adjustable(SettablePart):
 
     @cached_property
     def curve(self) -> ForceCurve | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """See `Part.curve`. The characteristic is that of the nominal setting; None if it is straight."""
+        """See `Part.curve`. The characteristic of the damper at its nominal setting; None if the characteristic is straight."""
         return self.nominal_curve and self.nominal_curve.at_wheel(self.ratio)
 
     def limits(self) -> Sequence[Limit]:

@@ -30,7 +30,7 @@ class SurfaceDamper(Characteristic):
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
-        """Yields the damper of a suspension if its table is over velocity and deflection."""
+        """Yields the damper of a suspension if the force is given as a table of velocity and deflection."""
         curve = vehicle.curves.get(place.damping)
         if isinstance(curve, ForceSurface):
             yield cls.with_slope(curve, vehicle.parameters[place.damping]), place.damping

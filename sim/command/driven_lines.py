@@ -33,8 +33,8 @@ def driven_lines(
 ) -> list[str]:
     """Returns the printed lines of a command: title, findings, table of controllers, further lines, and verdicts.
 
-    With `-v`, the table comes first. For a single run, all details follow; for several runs, one table of norms and checks
-    follows.
+    With `-v`, the table of controllers comes first. For a single run, all details follow the table; for several runs, one table
+    of norms and checks follows.
 
     Args:
         options: options from the command's parser.
@@ -43,7 +43,7 @@ def driven_lines(
         scores: scores of the controllers, one for each row of the table of controllers.
         about: text that states in which part of the run the ride is measured.
         response: description of the step response, as in the result of the command; empty if the road is not a step.
-        below: lines to print between the table and the verdicts, such as paths of files.
+        below: lines to print between the table of controllers and the verdicts, such as paths of files.
     """
     shown, metrics = [run for each in driven for run in each.named_runs], [one for each in driven for one in each.metrics]
     road, verbose = shown[0].road, options.verbose
@@ -118,7 +118,7 @@ def _start_lines(options: Namespace, driven: Sequence[VehicleRuns]) -> list[str]
 
 
 def _finding_lines(runs: Sequence[Run], verbose: bool) -> list[str]:
-    """Returns the lines about runs that are printed above the table of controllers.
+    """Returns the lines about the runs that are printed above the table of controllers.
 
     For at most `FEW` runs, the lines contain all findings and warnings. For more runs, the lines contain only warnings and the
     reasons why a run fails or diverges.
