@@ -53,7 +53,7 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
     (T,).
 
     Raises:
-        InputError: the vehicle cannot be driven over this bump.
+        InputError: the vehicle cannot be driven over the bump.
     """
     from models.roads.road import Bump
 

@@ -44,7 +44,7 @@ def lateral(corner: str, p: Parameters) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Car:
-    """The functions of a vehicle type with a rigid body.
+    """The functions that define a vehicle type with a rigid body.
 
     Attributes:
         parameters: parameters of the type; their names determine how the body moves, and which axles have anti-roll bars.
@@ -158,7 +158,7 @@ class Car:
         return rigid_body.linear_model(self.body(p), self.states, forces, roads, (*self.outputs, *self.on_demand))
 
     def motion(self, p: Parameters) -> "Motion":
-        """Returns the exact equations of motion. The states of these equations include the deflection of every tyre."""
+        """Returns the exact equations of motion. The states in the equations of motion include the deflection of every tyre."""
         from models.kinds.rigid_motion import rigid_motion
 
         lengths = self.at_corners(signals.SUSPENSION_DEFLECTION, signals.TYRE_DEFLECTION)
@@ -166,11 +166,11 @@ class Car:
         return rigid_motion(self.body(p), states, (*self.derived, *self.on_demand))
 
     def static_tyre_deflection(self, p: Parameters) -> dict[str, float]:
-        """Returns the compression of each tyre in equilibrium [m], by tyre deflection signal."""
+        """Returns the compression of each tyre in equilibrium [m]; the keys are the tyre deflection signals."""
         return self.body(p).static_tyre_deflection()
 
     def static_loads(self, p: Parameters) -> dict[str, float]:
-        """Returns the weight of the body on each suspension [N], by deflection signal."""
+        """Returns the weight of the body on each suspension [N]; the keys are the suspension deflection signals."""
         names = (signal.name for signal in self.at_corners(signals.SUSPENSION_DEFLECTION))
         return dict(zip(names, self.body(p).static_loads().tolist(), strict=True))
 
@@ -183,8 +183,8 @@ class Car:
         return links.wheel_loads(p, self.corners)
 
     def carried(self, p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:
-        """Returns the loads [N, N m] that links and wheel inertia cause in addition to the moment of a force on the body, by
-        name.
+        """Returns the loads [N, N m], by name of the load, that links and wheel inertia cause in addition to the moment of a
+        force on the body.
 
         For the arguments, see `links.carried_loads`.
         """

@@ -53,14 +53,14 @@ class Parameter(CheckedFields):
     Attributes:
         name: key in `[parameters]`.
         unit: SI unit of the number.
-        meaning: description in one line.
+        meaning: description of the parameter in one line.
         positive: True if the value 0 is not allowed. Infinite, NaN and extremely large values are never allowed.
         varied: argument without effect, which vehicle types written for earlier versions may still contain.
         largest: largest allowed value.
         usual: default value; None for a parameter without a default.
         smallest: smallest allowed value; None means 0 or, if `positive` is True, the smallest positive value.
-        optional: True if a vehicle file may omit the parameter. A vehicle without the parameter differs from a vehicle with any
-            value of the parameter.
+        optional: True if a vehicle file may omit the parameter. No value of an optional parameter has the same effect as the
+            omission of the parameter.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Parameter(CheckedFields):
             self.check(self.usual)
 
     def check(self, value: Any) -> float:
-        """Returns the value as a float.
+        """Returns the value of the parameter as a float.
 
         Raises:
             InputError: the value is not a number in the allowed range.
@@ -125,7 +125,7 @@ Parameters = Mapping[str, float]
 
 # The default functions of a vehicle type have names, because pickle cannot find lambdas.
 def nowhere_else(p: Parameters) -> float:
-    """Returns 0 m, for a wheel at the longitudinal position of the first wheel, or on the vehicle's centre line."""
+    """Returns a distance of 0 m, for a wheel that is not behind the first wheel, or that is on the vehicle's centre line."""
     return 0.0
 
 
@@ -143,9 +143,10 @@ class Wheel(CheckedFields):
         road_displacement: signal of the road height under this wheel.
         road_velocity: signal of the vertical road velocity under this wheel, a disturbance of the linear model.
         tyre_deflection: signal of the deflection of the tyre on this wheel.
-        behind: function of the parameters: distance behind the first wheel [m].
+        behind: function of the parameters that returns the distance of this wheel behind the first wheel [m].
         side: track of the wheel, "left" or "right"; empty if the vehicle has only one track.
-        lateral: function of the parameters: distance to the left of the vehicle's centre line [m].
+        lateral: function of the parameters that returns the distance of this wheel to the left of the vehicle's centre line
+            [m].
     """
 
     road_body: Name
@@ -244,8 +245,9 @@ class Invariant(CheckedFields):
     Attributes:
         name: name of the transmissibility, such as "z_s/z_r".
         signals: signals whose sum is the output of the transmissibility.
-        omega: function of the parameters: angular frequency [rad/s].
-        magnitude: function of the parameters: magnitude of the transmissibility at the frequency `omega`, above 0.
+        omega: function of the parameters that returns the angular frequency [rad/s].
+        magnitude: function of the parameters that returns the magnitude of the transmissibility at the frequency `omega`, above
+            0.
     """
 
     name: str
@@ -293,37 +295,37 @@ class VehicleKind(CheckedFields):
         signals: signals that every vehicle of the type has: outputs of the linear model, and sensors of the MJCF with the same
             names.
         wheels: wheels in the order of the linear model's disturbances.
-        linear_model: function of the parameters: `LinearModel` of all signals, including the signals on demand. The method
-            `model` returns the linear model with only the outputs in `signals`.
-        static_tyre_deflection: function of the parameters: compression of each tyre in equilibrium [m], by tyre deflection
-            signal. A wheel leaves the ground if its tyre deflection (for a `DampedTyre`, the equivalent deflection) exceeds the
-            compression in equilibrium.
+        linear_model: function of the parameters that returns the `LinearModel` of all signals, including the signals on demand.
+            The method `model` returns the linear model with only the outputs in `signals`.
+        static_tyre_deflection: function of the parameters that returns the compression of each tyre in equilibrium [m], by tyre
+            deflection signal. A wheel leaves the ground if its tyre deflection (for a `DampedTyre`, the equivalent deflection)
+            exceeds the compression in equilibrium.
         write_mjcf: function of an `MjSpec` and of the parameters. The function writes the parameters into the `MjSpec`, which
             is read from the type's `.xml` file, without importing MuJoCo.
         folder: folder of the `.xml` file.
-        check_together: function of the parameters: raises InputError if parameters that are valid individually are not a valid
+        check_together: function of the parameters that raises InputError if values that are valid individually are not a valid
             vehicle in combination.
         combined: signals without a sensor that are weighted sums of other signals, as {name: {other signal: factor}}.
         suspended: suspensions of the type. If `suspended` is None, there is one suspension for each signal
             `suspension_deflection...`. The suspension's tendon `suspension...` and its force `control_force...`, if it exists,
             have the same suffix as the deflection signal.
         invariants: transmissibilities that no suspension force can change.
-        on_demand: signals that a vehicle has only if its file names them. Signals on demand are outputs and sensors like other
-            signals, but take no computing time if the file does not name them.
+        on_demand: signals that a vehicle has only if its vehicle file names them. Signals on demand are outputs and sensors
+            like other signals, but take no computing time if the file does not name them.
         loads: external loads on the body, in the order of the linear model's loads. If the vehicle has loads on its wheels, the
             linear model contains the wheel loads after the loads on the body.
-        wheel_loads: function of the parameters: loads on the wheels due to suspension links and wheel inertia, if the vehicle
-            file describes them.
+        wheel_loads: function of the parameters that returns the loads on the wheels due to suspension links and wheel inertia,
+            if the vehicle file describes them.
         carried: function that returns the loads that suspension links and wheel inertia cause in addition to the moment of a
             force on the body. The arguments of `carried` are the parameters, the direction, the force [N] and the acceleration
             of the wheels [m/s2]. The direction is "roll_load" for a force to the right, or "pitch_load" for a forward force.
-        angles: function of the parameters: angles of the body relative to level ground [rad], each as a weighted sum of
-            signals. The function returns a mapping of the form {"pitch_angle": {signal: factor}, "roll_angle": {signal:
-            factor}}.
-        motion: function of the parameters: exact equations of motion, independent of the MJCF. If the type has no exact
-            equations, `motion` is None and MuJoCo is compared only with the linear model.
-        static_loads: function of the parameters: weight of the body on each suspension [N], by deflection signal; empty if
-            unknown.
+        angles: function of the parameters that returns the angles of the body relative to level ground [rad], each as a
+            weighted sum of signals. The function returns a mapping of the form {"pitch_angle": {signal: factor}, "roll_angle":
+            {signal: factor}}.
+        motion: function of the parameters that returns exact equations of motion, independent of the MJCF. If the type has no
+            exact equations, `motion` is None and MuJoCo is compared only with the linear model.
+        static_loads: function of the parameters that returns the weight of the body on each suspension [N], by deflection
+            signal; empty if unknown.
         ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by the name of
             the ratio's parameter. The mapping is empty, except in the copy of the type that belongs to a vehicle whose motion
             ratios change with travel.
@@ -407,7 +409,9 @@ class VehicleKind(CheckedFields):
         return {one.name: one for one in (*self.signals, *self.on_demand, *velocities)}
 
     def with_wheel_loads(self, parameters: Parameters) -> "VehicleKind":
-        """Returns the vehicle type; its loads include loads on the wheels if a vehicle with these parameters has such loads."""
+        """Returns the vehicle type; its loads include wheel loads if a vehicle with the supplied parameters has loads on its
+        wheels.
+        """
         loads = tuple(dict.fromkeys((*self.loads, *self.wheel_loads(parameters))))
         return self if loads == self.loads else replace(self, loads=loads)
 
@@ -421,8 +425,8 @@ class VehicleKind(CheckedFields):
     def at_wheels(self, parameters: Parameters) -> Parameters:
         """Returns the parameters with spring and damper rates at the wheel: k r^2 and c r^2, where r is the motion ratio.
 
-        If a ratio changes with travel, the preload of the spring also contributes to the stiffness at the wheel. In the result,
-        constant ratios are 1, and ratios from tables are omitted.
+        If a motion ratio changes with travel, the preload of the spring also contributes to the stiffness at the wheel. In the
+        returned parameters, constant motion ratios are 1, and motion ratios from tables are omitted.
         """
         given = [part for part in self.suspensions if part.ratio in parameters]
         parts = [part for part in given if parameters[part.ratio] != 1 or part.ratio in self.ratios] if given else []
@@ -534,11 +538,11 @@ class VehicleKind(CheckedFields):
         return f"{parameter}{ending}" if f"{parameter}{ending}" in names else ""
 
     def invariants_of(self, parameters: Parameters) -> tuple[Invariant, ...]:
-        """Returns the invariants of the vehicle type for these parameters; empty if a tyre has damping.
+        """Returns the invariants of the vehicle type for the supplied parameters; empty if a tyre has damping.
 
         For a wheel with the mass m_u on a tyre with the stiffness k and no damping, m_u s^2 + k = 0 at one frequency. At the
-        frequency with m_u s^2 + k = 0, the suspension force does not change the transmissibility. With the tyre damping c, m_u
-        s^2 + c s + k is not zero at any frequency.
+        frequency of the wheel mass m_u on the tyre stiffness k, the suspension force does not change the transmissibility. With
+        the tyre damping c, m_u s^2 + c s + k is not zero at any frequency.
         """
         return () if self.damped_tyres(parameters) else self.invariants
 
@@ -591,8 +595,8 @@ class VehicleKind(CheckedFields):
         """Returns all parameters in the order of the vehicle type, after checking each parameter and their combination.
 
         Raises:
-            InputError: `check_each` raises this error, or the combination is not a valid vehicle. The error is also raised if a
-                tyre is fully compressed, or has no contact with the road, in equilibrium.
+            InputError: `check_each` raises an InputError, or the combination of the parameters is not a valid vehicle.
+                InputError is also raised if, in equilibrium, a tyre is fully compressed or has no contact with the road.
         """
         checked = self.check_each(parameters)
         at_wheels = self.at_wheels(checked)
@@ -615,7 +619,7 @@ class VehicleKind(CheckedFields):
         return checked
 
     def ride_points(self, model: LinearModel) -> RidePoints:
-        """Returns the points at which the ride is measured, for a vehicle with this linear model.
+        """Returns the points at which the ride is measured, for a vehicle with the supplied linear model.
 
         A mass counts as above the body if no force that acts on a wheel also acts directly on this mass.
         """

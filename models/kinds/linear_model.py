@@ -2,16 +2,17 @@
 
     x' = A x + B u + Bw w + Br z_r + Bl f,     signals = C x + D u + Dw w + Cr z_r + Dl f,
 
-with the road heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/loads/`). Br and
-Cr are zero in the paper, and for every body that can follow all motions of the wheels. If Br and Cr are zero, only the road
-velocity acts on the vehicle. For a vehicle with four wheels, the warp of the road acts as a displacement.
+with the road heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/loads/`). The
+matrices Br and Cr are zero in the paper, and for every body that can follow all motions of the wheels. If the matrices Br and
+Cr are zero, only the road velocity acts on the vehicle. For a vehicle with four wheels, the warp of the road acts as a
+displacement.
 
-The road velocity acts in two ways: Bw = J + Bt. The matrix J describes how the road velocity changes deflections directly,
-independently of all forces. The matrix Bt describes how the road velocity pushes the wheels through tyres that have damping.
-The matrix Dw describes the direct effect of the road velocity on accelerations. With tyre damping, a vertical edge of the road
-is an impulse on the wheel. If the road height is constant within each time step, it jumps between two steps, and the
-deflections change by J times this jump. Within a step, the mean road velocity of the step pushes the wheels through the damping
-of the tyres.
+The road velocity acts in two ways, so its matrix is a sum: Bw = J + Bt. The matrix J describes how the road velocity changes
+deflections directly, independently of all forces. The matrix Bt describes how the road velocity pushes the wheels through tyres
+that have damping. The matrix Dw describes the direct effect of the road velocity on accelerations. With tyre damping, a
+vertical edge of the road is an impulse on the wheel. If the road height is constant within each time step, it jumps between two
+steps, and the deflections change by J times this jump. Within a step, the mean road velocity of the step pushes the wheels
+through the damping of the tyres.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -129,7 +130,8 @@ class LinearModel:
     def jump(self) -> Array:
         """Matrix J: the direct effect of the road height on the states, shape (n, r).
 
-        If the road height is held over a time step and then jumps, x - J z_r is continuous.
+        If the road height is held over a time step and then jumps, the combination x - J z_r of state and road height is
+        continuous.
         """
         return self.Bw - self.Bt if self.tyres_damp else self.Bw
 
@@ -292,7 +294,7 @@ class LinearModel:
         """Returns the rows of C and D for k output signals, shapes (k, n) and (k, m).
 
         Raises:
-            InputError: the vehicle does not have one of these signals.
+            InputError: the vehicle does not have one of the requested signals.
         """
         for signal in signals:
             if signal not in self.outputs:

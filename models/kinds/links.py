@@ -6,9 +6,9 @@ front and rear roll centres. At the longitudinal position of the centre of mass,
     h_r = (h_front l_rear + h_rear l_front) / L,     b = h - h_r     (l: distances of the axles from the centre of mass, L:
     their sum).
 
-The moment of inertia of the body about this axis is I_x + m_s b^2. At the roll angle phi, the centre of mass is displaced by b
-phi to the side, so the weight has the moment m_s g b phi. In steady-state cornering, on rigid tyres or with roll centres on the
-ground,
+The moment of inertia of the body about the roll axis is I_x + m_s b^2. At the roll angle phi, the centre of mass is displaced
+by b phi to the side, so the weight has the moment m_s g b phi. In steady-state cornering, on rigid tyres or with roll centres
+on the ground,
 
     phi = m_s a b / (K - m_s g b)
 
@@ -32,7 +32,7 @@ of a line from the wheel to the instant centre. Then (Gillespie, ch. 7; Milliken
 The line of slope beta begins at the tyre contact point if the links react the wheel torque. Examples in which the links react
 the torque are brakes at the wheel and a driven solid axle. The line of slope beta begins at the wheel centre if the body reacts
 the torque. Examples in which the body reacts the torque are inboard brakes and a driven wheel with independent suspension.
-Vehicle files contain the shares of the load transfer themselves, so both cases are possible.
+Vehicle files contain the shares of the load transfer themselves, so both positions of the line are possible.
 
 A link that carries load pushes the body at its axle, and the wheels of this axle in the opposite direction. The inertial force
 of the wheels does not act on the body. The inertial force of the wheels acts at the height of the wheel centres, so it exerts a
@@ -83,7 +83,7 @@ LENGTHWAYS = (
 def arms(p: Parameters) -> tuple[float | None, float | None]:
     """Returns the heights of the centre of mass above the pitch axis and above the roll axis [m].
 
-    A height is None if the vehicle file does not define the axis.
+    A height is None if the vehicle file does not define the axis from which the height is measured.
     """
     pitch = p["centre_height"] - p[PITCH_CENTRE.name] if PITCH_CENTRE.name in p else None
     if ROLL_CENTRE.name in p:
@@ -101,7 +101,8 @@ def wheel_loads(p: Parameters, corners: Sequence[str]) -> tuple[BodyLoad, ...]:
 
 
 def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float, acceleration: float) -> dict[str, float]:
-    """Returns the loads [N, N m] that links and wheel inertia cause in addition to the moment of a force on the body, by name.
+    """Returns the loads [N, N m], by name of the load, that links and wheel inertia cause in addition to the moment of a force
+    on the body.
 
     Args:
         p: parameters of the vehicle.
@@ -156,7 +157,8 @@ def track(axle: str, p: Parameters) -> float:
 
 
 def left_out(p: Parameters, angles: Collection[str]) -> str:
-    """Returns a sentence that describes moments of the body's weight that the model neglects; empty if there are none.
+    """Returns a sentence that describes moments of the body's weight that the model neglects; empty if the model neglects no
+    moments.
 
     Args:
         p: parameters of the vehicle.

@@ -63,7 +63,7 @@ class StoredEnergy(Protocol):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Returns the n / 2 joints of the MJCF whose positions and velocities, in this order, are the state."""
+        """Returns the n / 2 joints of the MJCF; their positions, followed by their velocities, are the state."""
         ...
 
     def energy(self, state: Array, heights: Array) -> Array:

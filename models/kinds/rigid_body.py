@@ -24,18 +24,18 @@ motion then contain additional terms for the warp of the road:
 
     t = E (P t) - N (d + z_r),     N = e n',     [E e] = [P; n]^-1.
 
-If P n = 0, as for axles of equal track width, then E = P+ and N = n n' / n'n.
+If P n = 0, as for axles of equal track width, then the matrices of the warp terms are E = P+ and N = n n' / n'n.
 
 Every wheel slides vertically. The struts are upright in equilibrium, and their upper ends are at the height of the centre of
 mass. Because the struts are upright at this height, the preloads have no effect in the linear model. The MuJoCo model (MJCF)
 differs from the linear model by terms that are quadratic in the amplitude.
 
 If suspension links define a roll or pitch axis (`links.py`), the body rotates about this axis, which is b below the centre of
-mass. The rotation about this axis adds m_s b^2 to M, and a moment W q of the weight, where the entry of W for each angle is m_s
-g b. The body's angles in q are relative to level ground: q = S+ (d + t + z_r). On a banked road, the body leans. If links
-define an axis of rotation, the road height therefore also acts on the vehicle. In the MJCF, the hinges lie on the axes that the
-links define, and the suspensions are fixed tendons. Vertical struts instead of fixed tendons would lean when the body sways,
-and their preload would rotate the body further.
+mass. The rotation about an axis that is b below the centre of mass adds m_s b^2 to the mass matrix M. The rotation also adds a
+moment W q of the weight, where the entry of W for each angle is m_s g b. The body's angles in q are relative to level ground: q
+= S+ (d + t + z_r). On a banked road, the body leans. If links define an axis of rotation, the road height therefore also acts
+on the vehicle. In the MJCF, the hinges lie on the axes that the links define, and the suspensions are fixed tendons. Vertical
+struts instead of fixed tendons would lean when the body sways, and their preload would rotate the body further.
 """
 
 from collections.abc import Sequence
@@ -105,9 +105,9 @@ class Corner:
     """Wheel of the vehicle with its suspension.
 
     Attributes:
-        name: suffix of the signals, and of the MJCF elements, at this corner.
-        x: forward position relative to the centre of mass [m].
-        y: position to the left of the centre of mass [m].
+        name: suffix of the names of signals and MJCF elements at the corner of this wheel.
+        x: forward position of the wheel relative to the centre of mass [m].
+        y: position of the wheel to the left of the centre of mass [m].
         unsprung_mass: mass of wheel, hub and brake [kg].
         suspension_stiffness: stiffness of the spring [N/m].
         suspension_damping: damping coefficient of the damper [N s/m].
@@ -170,8 +170,8 @@ class RigidBody:
         tyre_modes: matrix P, whose rows are the modes of the tyre deflections in the state, shape (p, c).
         twist: vector n, the warp motion with n' S = 0, shape (c,); zero if the body can follow every motion of the wheels.
         bars: anti-roll bars of the body.
-        pitch_arm: height of the centre of mass above the pitch axis that links define [m]. None if links do not define a pitch
-            axis; the body then pitches about its centre of mass, and its weight has no moment.
+        pitch_arm: height of the centre of mass above the pitch axis that links define [m]. The height is None if links do not
+            define a pitch axis. The body then pitches about its centre of mass, and its weight has no moment.
         roll_arm: height of the centre of mass above the roll axis [m]; None if links do not define a roll axis.
         wheel_loads: loads on the wheels due to suspension links and wheel inertia.
         seat_mass: mass on a seat above the body, not included in `mass` [kg].
@@ -402,9 +402,9 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
     """Writes a body on corners into the MjSpec of its vehicle type: masses, positions, springs and preloads.
 
     The elements of each corner NAME are the bodies `road_NAME` and `unsprung_NAME`, the sites `suspension_NAME_bottom` and
-    `suspension_NAME_top`, and the tendons `suspension_NAME` and `tyre_NAME`. At qpos = 0, the preloads carry the weight, so
-    this position is the static equilibrium. An anti-roll bar is a fixed tendon `anti_roll_bar_NAME` whose length is the angle
-    of the joint `roll` relative to the axle. If links guide the wheels, the tendons `suspension_NAME` are fixed tendons, too.
+    `suspension_NAME_top`, and the tendons `suspension_NAME` and `tyre_NAME`. At qpos = 0, which is the static equilibrium, the
+    preloads carry the weight. An anti-roll bar is a fixed tendon `anti_roll_bar_NAME` whose length is the angle of the joint
+    `roll` relative to the axle. If links guide the wheels, the tendons `suspension_NAME` are fixed tendons, too.
     """
     sprung = spec.body("sprung")
     sprung.mass = body.mass

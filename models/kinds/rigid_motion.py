@@ -1,10 +1,10 @@
 """Exact equations of motion of a rigid body on struts, for large pitch and roll angles.
 
-The linear equations are in `rigid_body`.
+The linear equations of motion are in the module `rigid_body`.
 
-The body moves vertically by z, then rotates by theta about the lateral axis, then by phi about its own longitudinal axis: R =
-R_y R_x. Strut i connects its hub with the point R (x_i, y_i, 0) of the body. The hub slides vertically at (x_i, y_i). If r_i is
-the vector from hub to body, L_i the length of this vector, and q = (z, theta, phi),
+The body moves vertically by z, then rotates by theta about the lateral axis, then by phi about its own longitudinal axis: the
+rotation matrix is R = R_y R_x. Strut i connects its hub with the point R (x_i, y_i, 0) of the body. The hub slides vertically
+at (x_i, y_i). If r_i is the vector from hub to body, L_i the length of this vector, and q = (z, theta, phi),
 
     d_i = L_i - L_0,     J_i = dL_i / dq,     e_i = r_i z / L_i,     p_i = p_0i - k_i d_i - c_i d_i' - (pulls) + u_i,
 

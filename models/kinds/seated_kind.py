@@ -136,7 +136,8 @@ def _motion(of_car: Callable[[Parameters], Any], p: Parameters) -> "Motion":
 def _write_mjcf(of_car: Callable[[Any, Parameters], None], spec: Any, p: Parameters) -> None:
     """Writes a car with a seat: the body `seat` on the body `sprung`, its joint with the preloaded spring, and sensors.
 
-    The mass is a point at the origin of the body `seat`. Cushion and backrest are drawn above the point mass.
+    The mass of seat and person is a point mass at the origin of the body `seat`. Cushion and backrest are drawn above the point
+    mass.
     """
     of_car(spec, p)
     seat, sprung = Seat.of(p), spec.body("sprung")

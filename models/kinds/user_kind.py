@@ -38,8 +38,8 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
 
     Raises:
         InputError: the file cannot be read, is not Python code, fails, or has no valid `KIND`. The functions of the vehicle
-            type also raise this error if they fail. `check_together` also raises this error if results of the vehicle type's
-            functions are wrong.
+            type also raise an InputError if they fail. The function `check_together` also raises an InputError if results of
+            the vehicle type's functions are wrong.
     """
     path = folder / f"{name}.py"
     what, module = f"vehicle type {path}", ModuleType(f"roadproof_{name}")

@@ -5,10 +5,10 @@ to x_c[i+1] (back-calculation: Astrom, Wittenmark 1997, Computer-Controlled Syst
 anti-windup term is exactly zero. While all forces are clipped, the law with anti-windup has the state matrix A - L C.
 
 The gain L is chosen so that, while all forces are clipped, the states decay at least by the factor exp(-rate T) in a sample
-period of T seconds. Poles of A inside the circle with the radius exp(-rate T) do not move. Poles of A outside this circle are
-mirrored at the circle. An integrator, for example, then decays at twice the prescribed rate. The matrix L is the gain of a
-Kalman filter with a prescribed degree of stability, in the limit of large measurement noise (Anderson, Moore 1971, Linear
-Optimal Control). The gain L does not depend on the units of the states.
+period of T seconds. Poles of A inside the circle with the radius exp(-rate T) are not moved by the anti-windup. Poles of A
+outside the circle with the radius exp(-rate T) are mirrored at this circle. An integrator, for example, then decays at twice
+the prescribed rate. The matrix L is the gain of a Kalman filter with a prescribed degree of stability, in the limit of large
+measurement noise (Anderson, Moore 1971, Linear Optimal Control). The gain L does not depend on the units of the states.
 """
 
 import numpy as np

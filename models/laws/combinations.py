@@ -1,7 +1,8 @@
 """Table of the options that can be combined in a controller's section, and of the commands that accept each option.
 
 Two parts of a section, or a part and a command, can be combined unless `REFUSED_PAIRS` contains a reason against the
-combination. The messages about refused combinations and the table in the documentation are generated from this table.
+combination. The messages about refused combinations and the table in the documentation are generated from the table in this
+module.
 """
 
 from collections.abc import Collection, Mapping

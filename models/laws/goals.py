@@ -175,7 +175,7 @@ class DecayBound(Section):
 
 @dataclass(frozen=True)
 class GainBound(Section):
-    """Upper bound on the magnitude of all entries of the gain."""
+    """Upper bound on the magnitude of all entries of the gain matrix."""
 
     gain: Annotated[float, SI("1", "largest magnitude of an entry of the gain", SMALLEST)]
 
@@ -271,8 +271,8 @@ FACTORS = ListedValues("", BySignal("", "parameters", 0.1, 10.0, "1"), f", {FAMI
 class Goals(Section):
     """Goals of one controller, given as keys of its section.
 
-    In a file, `tolerance` may also contain weights of uncertainties, and `structure` may also be the structure of a dynamic
-    law.
+    In a vehicle file, `tolerance` may also contain weights of uncertainties, and `structure` may also be the structure of a
+    dynamic law.
     """
 
     minimise: Annotated[

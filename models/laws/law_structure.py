@@ -34,7 +34,8 @@ EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
 
 
 def pid_filter(kind: str, filter: float) -> LinearLaw:
-    """Returns the continuous-time system from y to the three signals y, integral of y, and filtered derivative of y.
+    """Returns the continuous-time system from a measurement y to three signals: y, the integral of y, and the filtered
+    derivative of y.
 
     For a PI law, the system has no derivative.
     """
@@ -89,7 +90,7 @@ def _order(value: Any, context: Mapping[str, Any]) -> str | int:
 
 @dataclass(frozen=True, kw_only=True)
 class StructureSection(Goals):
-    """Keys of a controller's section that define the structure of a law, and its goals."""
+    """Keys of a controller's section that define the structure and the goals of a law."""
 
     order: Annotated[Any, ReadBy("`static`, `full`, or the number of states of the law", _order, allowed=ORDER)] | None = None
     pid: (

@@ -6,8 +6,8 @@ under the wheels:
 
     F(s) = C exp(A s) [B, H]    on [w; z_r].
 
-A computer knows the road only at its sample times. The preview is exact for a road that changes linearly between samples. In
-the same way, a sampled law with states is exact for measurements that change linearly between samples (`models.laws.linear`).
+A computer knows the road only at its sample times. The preview is exact for a road that changes linearly between samples. Like
+the preview, a sampled law with states is exact for measurements that change linearly between samples (`models.laws.linear`).
 For a road that changes linearly between samples, the preview force is a weighted sum of the road heights at the coming samples.
 """
 
@@ -29,7 +29,7 @@ MOST_PRODUCTS = 2e9  # a sum with at most this number of products is computed te
 
 @dataclass(frozen=True, eq=False)
 class RoadPreview:
-    """Feedforward force that depends on the road ahead. The docstring of the module contains the formula.
+    """Feedforward force that depends on the road ahead. The docstring of the module contains the formula for the force.
 
     Attributes:
         seconds: preview time T, for which the road ahead of every wheel is known [s].
@@ -39,7 +39,7 @@ class RoadPreview:
         C: output matrix, shape (m, k).
 
     Raises:
-        InputError: a matrix has the wrong shape or entries that are not real and finite, or T is not allowed.
+        InputError: a matrix has the wrong shape or entries that are not real and finite, or the preview time T is not allowed.
     """
 
     seconds: float
@@ -116,7 +116,7 @@ class RoadPreview:
             heights: heights of the road at the T timesteps of a run, followed by the heights during the preview time after the
                 run [m], shape (T + ahead, r).
             steps: number of timesteps between two samples of the controller.
-            timestep: time between two of the heights [s].
+            timestep: time between two successive heights [s].
             samples: number T of timesteps in the run.
         """
         weights, due = self.weights(steps * timestep), -(-samples // steps)

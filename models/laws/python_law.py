@@ -134,8 +134,8 @@ class PythonLaw(LawSource):
 
 @dataclass(frozen=True, eq=False)
 class PythonController(ControlLaw):
-    """Controller with a Python law, and the text of this law, which is executed. Linear analysis does not apply to this
-    controller.
+    """Controller with a Python law, and the text of this law, which is executed. Linear analysis does not apply to a controller
+    with a Python law.
 
     Attributes:
         name: name of the controller in the vehicle file.

@@ -74,8 +74,8 @@ class OwnLaw:
     """One execution of a law, with the state of the law and the global variables of its file.
 
     Attributes:
-        vectorised: True if one call of the law computes the forces of all runs. The law's function has the attribute
-        `vectorised` in this case.
+        vectorised: True if one call of the law computes the forces of all runs. The function of a vectorised law has the
+            attribute `vectorised`.
     """
 
     def __init__(self, controller: PythonController, forces: int) -> None:
@@ -196,12 +196,12 @@ class LawRuns:
     vectorised = False
 
     def __init__(self, controller: PythonController, forces: int) -> None:
-        """Prepares runs of a law that returns `forces` forces; the method `add` adds the runs."""
+        """Prepares runs of a law that returns the number of forces in `forces`; the method `add` adds the runs."""
         self._controller, self._forces = controller, forces
         self._laws, self._parameters = list[OwnLaw](), list[Mapping[str, float]]()
 
     def add(self, parameters: Mapping[str, float]) -> bool:
-        """Adds a run of a vehicle with these parameters. Returns `vectorised`.
+        """Adds a run of a vehicle with the supplied parameters. Returns `vectorised`.
 
         Raises:
             InputError: `OwnLaw` raises this error, in which case the run is not added.
@@ -251,7 +251,7 @@ class FileRuns:
     """`LawRuns` for a law in a file, which is executed in a child process. If the child process ends, all runs in it fail."""
 
     def __init__(self, controller: PythonController, forces: int) -> None:
-        """Prepares runs of a law that returns `forces` forces; the method `add` adds the runs."""
+        """Prepares runs of a law that returns the number of forces in `forces`; the method `add` adds the runs."""
         self._what, self._name, self._left, self._count = describe_law(controller), controller.law.function, LONGEST, 0
         self._error: InputError | None = None
         self._child = _child()
@@ -352,9 +352,7 @@ def describe_law(controller: PythonController) -> str:
 
 
 def _takes_time(function: Any) -> bool:
-    """Returns True if the function of a law has the arguments of law(t, y), a time and measurements, instead of a sample and a
-    state.
-    """
+    """Returns True if the function of a law takes a time and measurements, law(t, y), instead of a sample and a state."""
     try:
         return next(iter(inspect.signature(function).parameters), "") == "t"
     except (TypeError, ValueError):  # a function that is not written in Python has no signature

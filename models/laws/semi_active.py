@@ -93,8 +93,8 @@ def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 
 
 def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Continuous skyhook: the damper gives the force of a damper to the sky if it can give a force of this sign. Otherwise, it
-    has the soft setting.
+    """Continuous skyhook: the damper gives the force of a damper to the sky if it can give a force of this sign. Otherwise, the
+    damper has the soft setting.
     """
     v = body - wheel
     return _choose(body * v > 0, _over(of, -of.sky * body, v), of.c_min)
@@ -233,7 +233,7 @@ class SemiActiveLaw(LawSource):
 
 @dataclass(frozen=True, eq=False)
 class SemiActive(ControlLaw):
-    """Controller with a built-in semi-active law. Linear analysis does not apply to this controller.
+    """Controller with a built-in semi-active law. Linear analysis does not apply to a controller with a semi-active law.
 
     Attributes:
         name: name of the controller in the vehicle file.

@@ -1,6 +1,6 @@
 """Actuator whose motion ratio changes with travel.
 
-If the ratio is constant, the linear model contains the whole force, so this part is not needed.
+If the motion ratio is constant, the linear model contains the whole actuator force, so no part for the actuator is needed.
 """
 
 from collections.abc import Iterator

@@ -10,7 +10,8 @@ the force
     c_s v + g(v) + d h(v).
 
 The function h is h(v) = v, except for a damper with two characteristics (`models.characteristics.adjustable_range`). The
-deviation g is the sum of two deviations from linearisations: of the nominal setting, and of the parallel characteristic.
+deviation g is the sum of two deviations from linearisations: that of the nominal setting, and that of the parallel
+characteristic.
 """
 
 from collections.abc import Iterator, Sequence
@@ -56,7 +57,7 @@ class Adjustable(SettablePart):
 
     @property
     def is_nonlinear(self) -> bool:
-        """True if the force at the nominal setting differs from its linearisation."""
+        """True if the damper's force at the nominal setting differs from its linearisation."""
         return self.nominal_curve is not None and self.nominal_curve.is_nonlinear
 
     @property
@@ -69,7 +70,7 @@ class Adjustable(SettablePart):
         return self.nominal_curve and self.nominal_curve.at_wheel(self.ratio)
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the velocities beyond which the nominal force deviates too much from its linearisation."""
+        """Returns the velocities beyond which the damper's nominal force deviates too much from its linearisation."""
         return () if self.curve is None else departures(self.curve, "velocity")
 
     def at_wheel(self, ratio: float) -> "Adjustable":
@@ -90,8 +91,8 @@ class Adjustable(SettablePart):
         """Yields the semi-active damper of a suspension, before its motion ratio is applied.
 
         Raises:
-            InputError: the vehicle type has no nominal damper at this suspension, the nominal coefficient is outside the
-                limits, or the parallel characteristic supplies energy.
+            InputError: the vehicle type has no nominal damper at the suspension, the nominal coefficient is outside the limits,
+                or the parallel characteristic supplies energy.
         """
         dampers, suspensions, name = vehicle.dampers, vehicle.kind.suspensions, place.damping
         if not vehicle.adjusted(place.force):
@@ -149,10 +150,11 @@ class Adjustable(SettablePart):
 
     @property
     def offset(self) -> ForceCurve | None:
-        """Characteristic of the part of the force that does not depend on the damper's setting; None if it is zero.
+        """Characteristic of the part of the force that does not depend on the damper's setting; None if this part of the force
+        is zero.
 
-        The other actuators of the damper give (c - c_s) l v and (c - c_min) (h(v) - l v), where l is the slope of h at
-        equilibrium.
+        The other actuators of the damper give the forces (c - c_s) l v and (c - c_min) (h(v) - l v), where l is the slope of h
+        at equilibrium.
         """
         if self.nominal_curve is None or self.damper.pair is None:
             return self.nominal_curve

@@ -53,7 +53,7 @@ def curves_and_parameters(
 
 
 def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> dict[str, RatioTable]:
-    """Returns the motion ratios that `[curves]` gives as a function of travel, by parameter."""
+    """Returns the motion ratios that `[curves]` gives as a function of travel, by the name of the parameter."""
     names = {part.ratio for part in kind.suspensions} & {*section}
     if not names:
         return {}

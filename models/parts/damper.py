@@ -23,7 +23,7 @@ class DamperCurve(Characteristic):
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
-        """Yields the damper of a suspension, unless it is semi-active.
+        """Yields the damper of a suspension, unless the damper is semi-active.
 
         The damper has a nonlinear characteristic, or is linear with a motion ratio that changes with travel.
         """

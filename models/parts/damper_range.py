@@ -27,9 +27,9 @@ class CoefficientRange:
         adjustable: True for semi-active dampers, equal in all runs, shape (m,).
         elements: force elements whose voltages a controller sets. For a force element, the limits, the nominal value and the
             coefficient are voltages [V].
-        deviations: deviations from the linearisation: of the function h in `models.characteristics.adjustable_range`, and of
-            the softest setting. Each deviation has P segments, shape (N, m, P). The deviations are None if all characteristics
-            are straight.
+        deviations: deviation of the function h in `models.characteristics.adjustable_range` from its linearisation, and
+            deviation of the softest setting from its linearisation. Each deviation has P segments, shape (N, m, P). The
+            deviations are None if all characteristics are straight.
     """
 
     low: Array
@@ -78,7 +78,7 @@ class CoefficientRange:
         return _with(self._velocity(closing, which), rates)
 
     def _velocity(self, closing: Array, which: Array | slice) -> Array:
-        """Returns `effective_velocity` for dampers, and the closing velocity for elements."""
+        """Returns `effective_velocity` for dampers, and the closing velocity for force elements."""
         closing = closing[..., : self.low.shape[1]]
         return closing if self.deviations is None else closing - self.deviations[0][which].force(-closing)
 
@@ -161,7 +161,7 @@ class CoefficientRange:
         return np.minimum(np.maximum(coefficients, self.low[which]), self.high[which])
 
     def clipped_off(self, forces: Array, closing: Array | None, which: Array | slice = slice(None)) -> Array:
-        """Returns the forces that the actuators can give minus the requested forces [N], shape (N, m); exactly 0 if nothing is
+        """Returns the forces that the actuators can give minus the requested forces [N], shape (N, m); exactly 0 if no force is
         clipped.
 
         Args:

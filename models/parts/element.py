@@ -19,7 +19,7 @@ from models.parts.stops.stop import holds, places_of
 
 @dataclass(frozen=True)
 class PartSite(Section):
-    """Keys that the sections of all elements have in common."""
+    """Keys that the sections of all force elements have in common."""
 
     kind: Annotated[str, Text("name of the part")]
     at: Annotated[tuple[str, ...], ListedValues("suspensions or axles with the element; default: all", Text())] = ()
@@ -41,7 +41,7 @@ class Element:
 
     @property
     def straight(self) -> "Element":
-        """The linearised element; the unchanged element if it is linear, or if it acts only on contact."""
+        """The linearised element; if the element is linear or acts only on contact, the unchanged element."""
         part = self.part
         return self if part.contact or not part.is_nonlinear else replace(self, part=Straight(part.line, part.states))
 
@@ -121,7 +121,7 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str], taken: Col
 
 
 def _places(at: Sequence[str], corners: Sequence[str]) -> tuple[str, ...]:
-    """Returns the corners at the given suspensions or axles; all corners if none is given."""
+    """Returns the corners at the named suspensions or axles; all corners if no suspension or axle is named."""
     chosen = list[str]()
     for place in at:
         here = [corner for corner in corners if holds(place, corner)]

@@ -177,7 +177,7 @@ class Part(ABC):
 
     @cached_property
     def line(self) -> Line:
-        """Linearisation at equilibrium, computed by complex steps."""
+        """Linearisation of the part at equilibrium, computed by complex steps."""
         step, at = np.array(STEP * 1j), np.array(0j)
         along = ((step, at, at), (at, step, at), (at, at, step))[: 2 + self.inputs]
         n, inertance = len(self.states), self.inertance_at(np.zeros(()))
@@ -259,7 +259,7 @@ class Part(ABC):
         return d, v
 
     def at_wheel(self, ratio: float) -> "Part | None":
-        """Returns the equivalent part at the wheel for a constant motion ratio; None if `AtRatio` must represent it."""
+        """Returns the equivalent part at the wheel for a constant motion ratio; None if an `AtRatio` must represent the part."""
         return self if ratio == 1 else None
 
     def write(self, tendon: "Tendon") -> None:
@@ -361,7 +361,7 @@ class SuspensionPart:
 
     @property
     def surface(self) -> "ForceSurface | None":
-        """The characteristic of a damper against velocity and deflection; None if the force has only one argument."""
+        """The characteristic of a damper as a function of velocity and deflection; None if the force has only one argument."""
 
         curve: Any = self.part.curve
         return curve if isinstance(curve, FEATURES.load("surfaces").ForceSurface) else None

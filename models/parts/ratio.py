@@ -6,8 +6,8 @@ equilibrium. If the part carries the load W at the wheel in equilibrium, the for
     F(d, v) = r(d) (f(D(d), r(d) v) - N) + W,    N = W / r(0),    F'(0) = r(0)^2 f'(0) - r'(0) N.
 
 If the derivative r' has different values on the two sides of equilibrium, the linearisation uses the mean of both values. The
-force of an inertial part is b times the second derivative of its own travel D. At the wheel, the force of an inertial part is
-r^2 b v' + b r r' v^2, where v is the velocity at the wheel.
+force of an inertial part with the inertance b is b times the second derivative of its own travel D. At the wheel, the force of
+an inertial part is r^2 b v' + b r r' v^2, where v is the velocity at the wheel.
 """
 
 import functools

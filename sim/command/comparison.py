@@ -1,4 +1,4 @@
-"""Functions shared by commands that simulate controllers: choice of controllers, warnings, viewer and logs."""
+"""Functions that commands for the simulation of controllers share: choice of controllers, warnings, viewer and logs."""
 
 import argparse
 import sys
@@ -139,7 +139,7 @@ def write_histories(
     """Writes the files of `--picture` and `--csv`; returns their paths by option name.
 
     Args:
-        options: options from the command's parser.
+        options: values of the options from the command's parser.
         runs: runs to draw and to write.
         where: description of the road, which follows the word "over" in the title of the picture.
         measured: signals of a measured log during the time of the runs, which the picture also shows; None without a measured
@@ -163,7 +163,7 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, hea
     Args:
         logs: paths of the recorded files by type of file, one mapping for each vehicle. For several vehicles, the function
             returns a single line with the folder.
-        brief: True if the command prints only short results; no lines are then returned.
+        brief: True if the command prints only short results; in this case, no lines are returned.
         heading: True to print an empty line and a heading above the paths of the files.
     """
     paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class VehicleRuns:
-    """The runs with one vehicle file.
+    """The runs with one vehicle file, and their results.
 
     Attributes:
         vehicle: vehicle that the file describes.

@@ -139,10 +139,10 @@ def drive(
 
 
 def read_vehicles(options: Namespace) -> dict[str, Vehicle]:
-    """Returns the vehicles of `--vehicle` by title.
+    """Returns the vehicles that `--vehicle` selects, by title.
 
-    The title of a single vehicle is empty. For several vehicles, the title of each vehicle is its file name, or its path if two
-    file names are equal.
+    If the command has a single vehicle, its title is empty. For several vehicles, the title of each vehicle is its file name,
+    or its path if two file names are equal.
 
     Raises:
         InputError: a vehicle file cannot be read, or the user gives it twice.

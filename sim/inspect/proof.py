@@ -60,7 +60,7 @@ class InspectedRun:
 
     Attributes:
         recorded_run: the checked run, as it is in the log.
-        findings: findings about all claims that the log makes about this run.
+        findings: findings about all claims that the log makes about the run.
         again: the repeated run; None if the run could not be repeated.
     """
 

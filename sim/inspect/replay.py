@@ -1,8 +1,8 @@
 """Repetition of a logged run: reads vehicle, controller and road, predicts the run by linear analysis, and simulates it.
 
 The replay does not design controllers, so it does not need a solver. The log contains the proof of the certificate, and the
-control law, from which the linear response is computed. A law in Python is not executed. Instead, MuJoCo applies the forces in
-the log.
+control law, from which the linear response is computed. A law in Python is not executed. MuJoCo applies the forces in the log
+instead of those of the law.
 """
 
 import json

@@ -8,10 +8,11 @@ stored energy changes by the work of actuators and loads, minus the energy that 
 
 The symbol E denotes the kinetic and potential energy. The residual of the energy balance is caused by errors of the integrator
 and of the numerical integrals. The integrals are computed with Simpson's rule. The values in the middle of a step are those of
-the cubic Hermite polynomial through the lengths l and rates l' at both ends of the step. The slope of this polynomial in the
-middle of the step has an error of fourth order in the step. If every spring is linear in its length, the residual is therefore
-of order 4, as for RK4. A spring may start or stop acting within a step, for example if a tyre leaves the road. The spring force
-then has a kink, and the residual is only of about second order. Knots of characteristics also cause kinks in the force.
+the cubic Hermite polynomial through the lengths l and rates l' at both ends of the step. The slope of the cubic polynomial in
+the middle of the step has an error of fourth order in the step. If every spring is linear in its length, the residual is
+therefore of order 4, as for RK4. A spring may start or stop acting within a step, for example if a tyre leaves the road. If a
+spring starts or stops acting, its force has a kink, and the residual is only of about second order. Knots of characteristics
+also cause kinks in the force.
 
 The energy E is computed with the vehicle's own equations (`StoredEnergy`), with the masses, inertias, weights and linear
 springs of the vehicle file. The states for the energy come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore
@@ -22,13 +23,13 @@ of linear dampers come from the MuJoCo model.
 
 The work of an actuator is computed along the deflection of its suspension. If an actuator of the MuJoCo model acts on one end
 only, or through a gear, the energy balance has a residual, too. The work of an actuator without a suspension, which acts
-against the ground, is computed along MuJoCo's actuator. For such an actuator, only the comparison with the linear model shows
-whether it acts correctly in the MuJoCo model. The force that a semi-active damper adds to its nominal force is -d l', where l'
-is the rate of the damper's length. The coefficient d is held constant during a step, or lags behind its command. The work of
-the added damper force is also computed with Simpson's rule. If a controller sets the voltage of an element of `[parts]`, the
-energy stored in the element depends on the present voltage. A change of the voltage therefore does work. The work of the coil
-that sets the voltage is counted as work of the actuator. A separate check of force and speed at every sample confirms that a
-damper dissipates energy for every commanded coefficient or voltage.
+against the ground, is computed along MuJoCo's actuator. For an actuator without a suspension, only the comparison with the
+linear model shows whether it acts correctly in the MuJoCo model. The force that a semi-active damper adds to its nominal force
+is -d l', where l' is the rate of the damper's length. The coefficient d of the added force is held constant during a step, or
+lags behind its command. The work of the added damper force is also computed with Simpson's rule. If a controller sets the
+voltage of an element of `[parts]`, the energy stored in the element depends on the present voltage. A change of the voltage
+therefore does work. The work of the coil that sets the voltage is counted as work of the actuator. A separate check of force
+and speed at every sample confirms that a damper dissipates energy for every commanded coefficient or voltage.
 
 The residual is given relative to the turnover of energy. The turnover is the sum of the energy that the dampers dissipate, the
 energy that the actuators supply and absorb, and the largest kinetic energy. The turnover excludes the work of lifting the
@@ -324,7 +325,7 @@ class _Path:
         h: duration of a step [s].
         starts: potential and kinetic energy, lengths, and rates of the lengths at the samples, shape (T, n). The road height at
             a sample is that in the step that begins at the sample.
-        ends, rest: the same quantities at the end of every step (with the road height in the step), shape (T - 1, n), and in
+        ends, rest: quantities of `starts` at the end of every step (with the road height in the step), shape (T - 1, n), and in
             equilibrium, shape (n,).
     """
 
@@ -361,7 +362,7 @@ class _Path:
 def _energy_model(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
     """Returns the MuJoCo model that computes the energy of the vehicle.
 
-    Bump stops are omitted, and tyres with damping have ordinary springs.
+    The model for the energy has no bump stops, and its tyres with damping have ordinary springs.
     """
     spec = build_spec(replace(vehicle, limits=Limits()), timestep)
     for actuator in spec.actuators:

@@ -31,8 +31,8 @@ class Recording:
             states are then infinite; otherwise, the states are NaN.
         qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run.
         qvel: MuJoCo's generalised velocities, shape (T, nv).
-        measured: each measured signal and closing velocity at the samples of the controller, shape (T,); the keys are their
-            names; see `Block.measured`.
+        measured: measured signals and closing velocities at the samples of the controller, each of shape (T,), by name; see
+            `Block.measured`.
         commands: commands of the actuators at every time step, shape (T, m) or (T, 2 m); see `sim.drive.actuators`.
     """
 

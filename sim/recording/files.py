@@ -48,7 +48,7 @@ def record(
             file cannot contain them.
 
     Returns:
-        Paths of the files: `mcap`, `layout` and `rerun`.
+        Paths of the written files, with the keys `mcap`, `layout` and `rerun`.
 
     Raises:
         InputError: the folder cannot be created, the files cannot be written, or two runs have the same name.

@@ -1,8 +1,8 @@
 """Layouts for Foxglove and Lichtblick: the car in 3D, all signals in the MuJoCo and sampled responses, and the differences
 between both responses.
 
-In both programs, choose "Import from file..." in the list of layouts. A layout consists of settings of panels, with keys
-`TYPE!NAME`, and a tree of rows and columns; see https://docs.foxglove.dev/docs/visualization/layouts.
+In Foxglove and in Lichtblick, choose "Import from file..." in the list of layouts. A layout consists of settings of panels,
+with keys `TYPE!NAME`, and a tree of rows and columns; see https://docs.foxglove.dev/docs/visualization/layouts.
 """
 
 import json
@@ -147,7 +147,7 @@ def _tab_panel(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) 
 
 
 def _stack(direction: str, parts: Sequence[Any], shares: Sequence[float] = ()) -> Any:
-    """Returns parts of a layout, arranged in a row or a column, as the binary tree that both viewers use."""
+    """Returns parts of a layout, arranged in a row or a column, as the binary tree that Foxglove and Lichtblick use."""
     shares = [*shares, *[1.0] * len(parts)][: len(parts)]
     if len(parts) == 1:
         return parts[0]

@@ -181,7 +181,7 @@ def _add_solid(entity: Any, shape: Shape) -> None:
 def _pack_points(points: Array, field: int) -> Array:
     """Returns points, rounded to `GRID`, as entries of a repeated protobuf field: tag, length, three doubles.
 
-    The shape of the array changes from (..., P, 3) to (..., P).
+    The shape of the array of points changes from (..., P, 3) to (..., P).
 
     When the message is serialised later, protobuf omits zeros. The number of the protobuf field must be below 16.
     """

@@ -1,7 +1,7 @@
 """Writer of runs as an MCAP file, https://mcap.dev/spec: protobuf messages with schemas that Rerun and Foxglove can plot.
 
-Encoding: https://protobuf.dev/programming-guides/encoding. The descriptors are created at run time from the signals of the
-responses, without generated code. Each field has the same name as its signal.
+Encoding: https://protobuf.dev/programming-guides/encoding. The protobuf descriptors are created at run time from the signals of
+the responses, without generated code. Each field of a message has the same name as its signal.
 """
 
 import json
@@ -39,7 +39,8 @@ def write_mcap(
 ) -> None:
     """Writes runs to an MCAP file.
 
-    The file contains one metadata record for all runs and one for each run, the attachments, and the `channels`.
+    The file contains one metadata record for all runs and one for each run, the attachments, and the channels that `channels`
+    yields.
 
 
     Args:
@@ -75,12 +76,12 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
     """Yields all channels of a log in the order in which they are written.
 
     Each response has its own topic: `/mujoco` for a single run, or `/I/mujoco` for the run I of several runs. The topic has one
-    message for each sample, with one double for each signal and log_time = publish_time = t in ns. The metadata of the channel
-    contain the unit, symbol and meaning of every signal as JSON by name; the schema contains them as comments. The topic
-    `/difference` contains the MuJoCo response minus the sampled response, relative to the peak of each signal, in single
-    precision. Forces that are not part of the responses are in the topics `/loads` and `/dampers`. Events are `foxglove.Log`
-    messages in the topic `/events`. The moving car is in the topics `/transforms`, `/shapes` and `/scene`, with Foxglove's
-    published schemas. Channels without messages are omitted.
+    message for each sample, with one double for each signal; log_time and publish_time are the time of the sample in ns. The
+    metadata of the channel contain the unit, symbol and meaning of every signal as JSON by name; the schema contains them as
+    comments. The topic `/difference` contains the MuJoCo response minus the sampled response, relative to the peak of each
+    signal, in single precision. Forces that are not part of the responses are in the topics `/loads` and `/dampers`. Events are
+    `foxglove.Log` messages in the topic `/events`. The moving car is in the topics `/transforms`, `/shapes` and `/scene`, with
+    Foxglove's published schemas. Channels without messages are omitted.
     """
     numbers: dict[tuple[Signal, ...], int] = {}
     for run in runs:
@@ -144,8 +145,8 @@ def _encode_samples(response: Response, kind: str) -> Iterator[bytes]:
 
     A double is encoded as its tag, (number << 3) | 1 as a varint, and 8 little-endian bytes; a float has wire type 5 and 4
     bytes. A flat message therefore has the same layout at every sample, and all samples form a single array of bytes.
-    Protobuf's own writer would omit zeros. Messages that contain zeros are also valid, and preserve the layout and the values
-    -0.0 and NaN.
+    Protobuf's own writer would omit zeros. Messages that contain zeros are also valid, and preserve the layout, NaN and the
+    value -0.0.
     """
     count, size = len(response.time), np.dtype(kind).itemsize
     columns = []

@@ -103,9 +103,9 @@ def _log_curves(recording: rr.RecordingStream, path: str, curves: Sequence[Curve
 def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
     """Logs all plotted data: responses, differences, loads, and drawings of the diagrams.
 
-    A response is at `signals/<signal>/<response>`, in a shade of the run's colour. The difference MuJoCo minus sampled,
-    relative to the peak of each signal, is at `difference/<group>`. Loads as functions of time are at `acting/loads/<load>`,
-    and force diagrams are at `acting/diagrams/<force>`.
+    A response is at `signals/<signal>/<response>`, in a shade of the run's colour. The MuJoCo response minus the sampled
+    response, relative to the peak of each signal, is at `difference/<group>`. Loads as functions of time are at
+    `acting/loads/<load>`, and force diagrams are at `acting/diagrams/<force>`.
     """
     for signal in signals_of([run]):
         for curve in response_curves(run, signal, color):
@@ -238,7 +238,8 @@ def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> Non
 
     The car's entity paths are `world/<body>/<shape>`, `world/springs/<spring>` and `world/forces/<spring>`.
 
-    The road is a profile at `world/profile/<track>`. Viewers other than Rerun show pieces of road under the wheels instead.
+    The road is a profile at `world/profile/<track>`. Viewers other than Rerun show pieces of road under the wheels instead of
+    the profile.
 
     Args:
         run: run to log. Frames of the run with values that are not finite are omitted.

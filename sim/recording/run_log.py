@@ -1,4 +1,6 @@
-"""Recorded data of one run, which is the content of the run's log. `mcap_writer.py` and `run_records.py` define the format."""
+"""Recorded data of one run, which is the content of the run's log. The modules `mcap_writer.py` and `run_records.py` define the
+format of the recorded data.
+"""
 
 import re
 from collections.abc import Mapping
@@ -43,8 +45,8 @@ class RunLog:
         verdict: short result of the comparison with linear analysis; empty if nothing was compared.
         files: attachments to which the metadata refer, for example the points of a measured road; each is (media type,
             content), by name.
-        other_signals: signals outside the responses, by topic: loads on the body, forces of dampers and springs, and a measured
-            log.
+        other_signals: signals that are not part of the responses, by topic: loads on the body, forces of dampers and springs,
+            and a measured log.
         diagrams: diagrams of damper and spring forces against velocity or deflection.
         active: names of the controller's states, sorted by their contribution to the force; the largest contribution comes
             first. Viewers show only the first few states in this order.

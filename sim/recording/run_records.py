@@ -230,7 +230,9 @@ def record_runs(
 
 
 def _attachment_name(what: str, suffix: str, content: bytes) -> str:
-    """Returns the name of an attachment. The name contains a hash of the content, so runs with equal attachments share them."""
+    """Returns the name of an attachment. The name contains a hash of the content, so runs with equal attachments share one
+    attachment.
+    """
     return f"{what}-{hashlib.sha256(content).hexdigest()[:16]}.{suffix}"
 
 

@@ -27,7 +27,7 @@ class Shape:
         half_size: half edges of a box, or (radius, half length along z, 0) of other forms [m], shape (3,).
         position: centre of the solid in the body's frame [m], shape (3,).
         quaternion: orientation of the solid in the body's frame, (w, x, y, z).
-        rgba: colour from 0 to 1, shape (4,).
+        rgba: colour and opacity, from 0 to 1, shape (4,).
     """
 
     name: str
@@ -79,7 +79,7 @@ class Tyre:
         middle: y coordinate (along the axle) of the tyre's middle, in the frame of the body [m].
         height: height of the hub above the road in each frame [m], shape (F,). If the hub is higher than `radius`, the tyre is
             off the ground.
-        rgba: colour from 0 to 1, shape (4,).
+        rgba: colour and opacity, from 0 to 1, shape (4,).
     """
 
     name: str
@@ -161,7 +161,7 @@ class Scene:
     def flat(self) -> bool:
         """True if the scene is wider than it is long, as for a vehicle in the roll plane.
 
-        Viewers then show the car from behind instead of from the left.
+        Viewers show a wide scene from behind instead of from the left.
         """
         low, high = self.finite().extent()
         return bool(np.ptp([low, high], axis=0)[1] > np.ptp([low, high], axis=0)[0])
@@ -209,7 +209,7 @@ def largest_force(scenes: Iterable[Scene]) -> float:
 
 
 def arrows(scene: Scene, largest: float) -> dict[str, tuple[Array, Array]]:
-    """Returns the tail and the vector [m] of each control-force arrow by spring, shapes (F, 3).
+    """Returns the tail and the vector [m] of each control-force arrow, shapes (F, 3), by name of the spring.
 
     Args:
         scene: drawing of a run, which contains the springs and their control forces.
@@ -252,8 +252,8 @@ def tyre_surface(tyre: Tyre) -> tuple[Array, Array]:
     """Returns the drawn surface of a tyre with its contact patch.
 
     Returns:
-        The vertices in the frame of the body [m], shape (F, 2 SECTORS + 2, 3), and the vertex indices of the triangles, shape
-        (4 SECTORS, 3).
+        The vertices of the surface in the frame of the body [m], shape (F, 2 SECTORS + 2, 3), and the vertex indices of the
+        triangles, shape (4 SECTORS, 3).
     """
     angle = 2 * np.pi * np.arange(SECTORS) / SECTORS
     x, z = tyre.radius * np.sin(angle), -tyre.radius * np.cos(angle)
@@ -278,7 +278,8 @@ def road_surface(track: Track) -> tuple[Array, Array, Array]:
     motion of the road is visible.
 
     Returns:
-        The vertices at time 0 [m], shape (6 N, 3), their colours, shape (6 N, 3), and the triangles, shape (6 (N - 1), 3).
+        The vertices of the surface at time 0 [m], shape (6 N, 3), their colours, shape (6 N, 3), and the triangles, shape (6 (N
+        - 1), 3).
     """
     count = len(track.position)
     left, right, under = track.middle + ROAD, track.middle - ROAD, track.height - THICK

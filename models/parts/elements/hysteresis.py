@@ -12,9 +12,10 @@ energy
 A parameter c with a key `..._per_volt` has the value c + c_per_volt u, where u is the voltage. This includes alpha. A change of
 the voltage therefore changes the stored energy alpha S(z); the coil supplies the difference.
 
-In the linearisation at equilibrium, z - A d is constant, where d is the travel. The constant z - A d is a mode without decay.
-No force excites the mode without decay, but controller design requires that all modes decay. Linear analysis therefore assigns
-the eigenvalue -`DECAY` to this mode, which does not change any response from equilibrium.
+In the linearisation at equilibrium, z - A d is constant, where d is the travel and A a parameter of the hysteresis. The
+constant z - A d is a mode without decay. No force excites the mode without decay, but controller design requires that all modes
+decay. Linear analysis therefore assigns the eigenvalue -`DECAY` to the mode without decay. The eigenvalue does not change any
+response from equilibrium.
 """
 
 from abc import abstractmethod
@@ -109,7 +110,7 @@ class Hysteretic(Part):
 
     @abstractmethod
     def springs(self, d: Array, z: Array) -> Array | float:
-        """Returns the stored energy without the energy of the hysteresis [J], shape (...)."""
+        """Returns the energy that the part stores, without the energy of the hysteresis [J], shape (...)."""
 
     def after_yield(self, v: Array, u: Array | float = 0.0) -> Array:
         """Returns the force in steady motion at constant velocities [m/s], without the force of springs [N], shape (...)."""
