@@ -93,9 +93,7 @@ def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 
 
 def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Continuous skyhook: the damper gives the force of a damper to the sky if it can give a force of this sign. Otherwise, the
-    damper has the soft setting.
-    """
+    """Continuous skyhook: the force of a damper to the sky if the damper can give a force of this sign, else the soft setting."""
     v = body - wheel
     return _choose(body * v > 0, _over(of, -of.sky * body, v), of.c_min)
 
@@ -134,9 +132,7 @@ def power_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, travel: Q
 
 
 def skyhook_add(of: LawCoefficients, body: Quantity, wheel: Quantity, acceleration: Quantity) -> Quantity:
-    """Mixed SH-ADD: the law is skyhook below a crossover frequency of the body motion, and ADD above it (Savaresi, Spelta
-    2007).
-    """
+    """Mixed SH-ADD: skyhook below a crossover frequency of the body motion, ADD above it (Savaresi, Spelta 2007)."""
     slow = acceleration * acceleration <= of.crossover * of.crossover * (body * body)
     return _choose(slow, skyhook(of, body, wheel), acceleration_driven(of, body, wheel, acceleration))
 
