@@ -49,7 +49,8 @@ class Car:
     Attributes:
         parameters: parameters of the type; their names determine how the body moves, and which axles have anti-roll bars.
         corners: names of the c corners: an axle, a side, or an axle and a side.
-        modes: modes of the tyre deflections that are states, by name; each mode has the shape (c,).
+        modes: shares of the c corners in each mode of the tyre deflections, shape (c,), by name of the mode; the modes are
+            states.
         warp: wheel motion that a rigid body cannot follow if all axles have the same track width, shape (c,); zero if the body
             can follow every motion.
     """
@@ -195,7 +196,7 @@ class Car:
         return rigid_body.angles(self.body(p))
 
     def kind(self, name: str, lacking: Mapping[str, str] | None = None) -> VehicleKind:
-        """Returns the vehicle type. For the arguments, see `VehicleKind`."""
+        """Returns the vehicle type that the car's functions define. For the arguments, see `VehicleKind`."""
         sides = {corner: next((side for side in links.SIDES if corner.endswith(side)), "") for corner in self.corners}
         combined = {
             mode.name: {f"tyre_deflection_{corner}": float(share) for corner, share in zip(self.corners, pattern, strict=True)}

@@ -139,14 +139,13 @@ class Wheel(CheckedFields):
     """Wheel: a point where a road acts on the vehicle.
 
     Attributes:
-        road_body: MJCF mocap body of the road under this wheel.
-        road_displacement: signal of the road height under this wheel.
-        road_velocity: signal of the vertical road velocity under this wheel, a disturbance of the linear model.
-        tyre_deflection: signal of the deflection of the tyre on this wheel.
-        behind: function of the parameters that returns the distance of this wheel behind the first wheel [m].
+        road_body: MJCF mocap body that represents the road under the wheel.
+        road_displacement: signal of the road height under the wheel.
+        road_velocity: signal of the vertical road velocity under the wheel, a disturbance of the linear model.
+        tyre_deflection: signal of the deflection of the wheel's tyre.
+        behind: function of the parameters that returns the distance of the wheel behind the first wheel [m].
         side: track of the wheel, "left" or "right"; empty if the vehicle has only one track.
-        lateral: function of the parameters that returns the distance of this wheel to the left of the vehicle's centre line
-            [m].
+        lateral: function of the parameters that returns the distance of the wheel to the left of the vehicle's centre line [m].
     """
 
     road_body: Name
@@ -183,10 +182,10 @@ class Suspension(CheckedFields):
         deflection: signal of the suspension's extension.
         tendon: name of the MJCF tendon of the suspension. A bump stop of the suspension acts in parallel with the tendon.
         force: name of the input that acts along the suspension; empty for a passive suspension.
-        stiffness: name of the parameter of the spring; empty without a spring. A nonlinear characteristic can replace this
-            parameter.
-        damping: name of the parameter of the damper; empty without a damper. A nonlinear characteristic can replace this
-            parameter.
+        stiffness: name of the parameter of the spring; empty without a spring. A nonlinear characteristic of the
+            spring can replace the parameter.
+        damping: name of the parameter of the damper; empty without a damper. A nonlinear characteristic of the
+            damper can replace the parameter.
         ratio: name of the parameter of the motion ratio: travel of all elements of the suspension, divided by the wheel travel.
             The name `ratio` is empty if the spring, damper and actuator act directly at the wheel. The equations of a vehicle
             type assume that all elements act at the wheel; `VehicleKind.at_wheels` converts the parameters accordingly.
@@ -205,7 +204,7 @@ class Suspension(CheckedFields):
 
     @property
     def ending(self) -> str:
-        """Suffix in the names of signals and parameters at the corner of this suspension."""
+        """Suffix in the names of signals and parameters at the corner of the suspension."""
         return self.deflection.removeprefix(SUSPENSION_DEFLECTION.name)
 
     @property
@@ -330,8 +329,8 @@ class VehicleKind(CheckedFields):
             the ratio's parameter. The mapping is empty, except in the copy of the type that belongs to a vehicle whose motion
             ratios change with travel.
         people: signals of the accelerations [m/s2] at points where a person sits or stands, the most important point first.
-            If `people` is None, the signals of the masses above the body are used, if a vehicle has such masses. If `people` is
-            an empty tuple, no person is on the vehicle.
+            If `people` is None, the signals of the masses above the body are used, if the vehicle has masses above the body. If
+            `people` is an empty tuple, no person is on the vehicle.
         of_parts: signals of the internal states of force elements. The signals of internal states are also part of `signals`,
             but have no sensors. The tuple is empty, except in the copy of the type that belongs to a vehicle whose force
             elements have internal states.
@@ -417,7 +416,7 @@ class VehicleKind(CheckedFields):
 
     @cached_property
     def unnamed(self) -> tuple[str, ...]:
-        """Names of the signals on demand that vehicles of this type do not have."""
+        """Names of the signals on demand that vehicles of the type do not have."""
         # A comparison of sets is fast; comparing the signals one by one would take longer than compiling a model
         known = set(self.signals)
         return tuple(signal.name for signal in self.on_demand if signal not in known)
@@ -448,7 +447,8 @@ class VehicleKind(CheckedFields):
         return None if table is None or table.straight else table
 
     def _rates_of_preload(self, parameters: Parameters) -> dict[str, float]:
-        """Returns the contribution of preloads to the wheel rates of springs [N/m], by parameter.
+        """Returns the contribution of preloads to the wheel rates of springs [N/m]; the keys are the names of the stiffness
+        parameters.
 
         Preloads contribute only at suspensions whose motion ratio changes with travel.
 
@@ -475,7 +475,9 @@ class VehicleKind(CheckedFields):
         return {force: ratios.get(force, 1.0) for force in forces}
 
     def model(self, parameters: Parameters) -> LinearModel:
-        """Returns the linear model whose outputs are the signals of this vehicle type. The most recent models are cached."""
+        """Returns the linear model whose outputs are the signals of the vehicle type. Recently computed linear models are
+        cached.
+        """
         key, kept = tuple(parameters.items()), self._models
         if key not in kept:
             model = self.full_model(parameters).of(names_of(self.signals))
@@ -506,7 +508,7 @@ class VehicleKind(CheckedFields):
 
     @cached_property
     def suspensions(self) -> tuple[Suspension, ...]:
-        """All suspensions: those in `suspended` or, if it is None, one for each signal `suspension_deflection...`."""
+        """All suspensions: those in `suspended` or, if `suspended` is None, one for each signal `suspension_deflection...`."""
         if self.suspended is not None:
             return tuple(self.suspended)
         names, suspensions = names_of(self.signals), []
@@ -530,7 +532,7 @@ class VehicleKind(CheckedFields):
 
         Args:
             parameter: name of the parameter without a suffix.
-            ending: suffix of the corner.
+            ending: suffix of the parameter names at the corner.
         """
         names = {known.name for known in self.parameters}
         while ending and f"{parameter}{ending}" not in names:

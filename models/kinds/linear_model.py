@@ -130,8 +130,8 @@ class LinearModel:
     def jump(self) -> Array:
         """Matrix J: the direct effect of the road height on the states, shape (n, r).
 
-        If the road height is held over a time step and then jumps, the combination x - J z_r of state and road height is
-        continuous.
+        If the road height is held constant during a time step and then jumps, the combination x - J z_r of state and road
+        height is continuous.
         """
         return self.Bw - self.Bt if self.tyres_damp else self.Bw
 

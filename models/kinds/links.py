@@ -13,14 +13,14 @@ on the ground,
     phi = m_s a b / (K - m_s g b)
 
 where K is the roll stiffness of springs, bars and tyres (T. D. Gillespie, Fundamentals of Vehicle Dynamics, ch. 6; W. F. and D.
-L. Milliken, Race Car Vehicle Dynamics, ch. 18). In the same way, if there is a pitch centre, the body pitches about an axis at
-the height of the pitch centre. The roll axis and the pitch axis are assumed to be horizontal and do not move relative to the
-ground. Tyres are assumed not to slip sideways, and to deflect only vertically. The links guide every wheel, so the deflection
-of a suspension is z - x theta + y phi - z_u at any pitch and roll angle.
+L. Milliken, Race Car Vehicle Dynamics, ch. 18). If there is a pitch centre, the body pitches about an axis at the height of the
+pitch centre. The roll axis and the pitch axis are assumed to be horizontal and do not move relative to the ground. Tyres are
+assumed not to slip sideways, and to deflect only vertically. The links guide every wheel, so the deflection of a suspension is
+z - x theta + y phi - z_u at any pitch and roll angle.
 
 Links transmit a horizontal force F on the body to the tyres. Each axle takes a share s of a lateral force: the distance of the
 other axle from the centre of mass, divided by the wheelbase L. Through the links, a lateral force F increases the load on the
-outer wheel of the axle by s F h_axle / track. Here h_axle is the height of the axle's roll centre. A longitudinal force F at
+outer wheel of the axle by s F h_axle / track. The height of the axle's roll centre is h_axle. A longitudinal force F at
 the height h transfers the load F h / L between the axles. The parameter `anti_...` of an axle is the share of the axle's load
 transfer that the links carry. The front axle has the share b_f of the braking force. Let beta be the slope angle, in side view,
 of a line from the wheel to the instant centre. Then (Gillespie, ch. 7; Milliken, ch. 17), for a vehicle with rear-wheel drive,

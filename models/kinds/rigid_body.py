@@ -27,8 +27,8 @@ motion then contain additional terms for the warp of the road:
 If P n = 0, as for axles of equal track width, then the matrices of the warp terms are E = P+ and N = n n' / n'n.
 
 Every wheel slides vertically. The struts are upright in equilibrium, and their upper ends are at the height of the centre of
-mass. Because the struts are upright at this height, the preloads have no effect in the linear model. The MuJoCo model (MJCF)
-differs from the linear model by terms that are quadratic in the amplitude.
+mass. Because the struts are upright and end at the height of the centre of mass, the preloads have no effect in the linear
+model. The MuJoCo model (MJCF) differs from the linear model by terms that are quadratic in the amplitude.
 
 If suspension links define a roll or pitch axis (`links.py`), the body rotates about this axis, which is b below the centre of
 mass. The rotation about an axis that is b below the centre of mass adds m_s b^2 to the mass matrix M. The rotation also adds a
@@ -105,7 +105,7 @@ class Corner:
     """Wheel of the vehicle with its suspension.
 
     Attributes:
-        name: suffix of the names of signals and MJCF elements at the corner of this wheel.
+        name: suffix of the names of signals and MJCF elements at the wheel's corner.
         x: forward position of the wheel relative to the centre of mass [m].
         y: position of the wheel to the left of the centre of mass [m].
         unsprung_mass: mass of wheel, hub and brake [kg].

@@ -12,10 +12,10 @@ damping pushes its hub upward with
     F = max(0, k (l_0 - l) + c (z_r' - l')),
 
 where l is the tyre length and z_r' the road velocity. In MuJoCo, the road height and the road velocity z_r' are both held
-constant over a time step. A mocap body has no velocity, so l' is the velocity of the hub. The tyre leaves the road
-when its total force is 0. When the total force reaches 0, the equivalent deflection t + (c / k) t' of the tyre reaches the
-static deflection. Without damping, the equivalent deflection is the tyre deflection t. While a wheel is in the air, its tyre
-exerts no force. The rubber of the tyre is assumed to return immediately to its free shape, without a force on the hub.
+constant during a time step. A mocap body has no velocity, so l' is the velocity of the hub. The tyre leaves the road when its
+total force is 0. When the total force reaches 0, the equivalent deflection t + (c / k) t' of the tyre reaches the static
+deflection. Without damping, the equivalent deflection is the tyre deflection t. While a wheel is in the air, its tyre exerts no
+force. The rubber of the tyre is assumed to return immediately to its free shape, without a force on the hub.
 """
 
 from typing import Any

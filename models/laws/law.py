@@ -117,7 +117,7 @@ class LawSource:
                 `read` does not execute the text.
 
         Raises:
-            InputError: the file of the law cannot be read, or `design` raises this error.
+            InputError: the file of the law cannot be read, or `design` raises an InputError.
         """
         return design(name)
 

@@ -153,7 +153,7 @@ class LinearLaw(LawSource):
         return self.C @ np.linalg.solve(at * np.eye(self.states) - self.A, self.B) + self.D
 
     def of_state(self, period: float | None) -> float:
-        """Returns the factor that converts the states of `sampled(period)` to the states of this law.
+        """Returns the factor that converts the states of `sampled(period)` to the states of the law itself.
 
         Args:
             period: sample period [s]; None for the states of `continuous()`.
@@ -174,7 +174,7 @@ class LinearLaw(LawSource):
     def only(self, forces: Array) -> "LinearLaw":
         """Returns the law with all forces set to 0, except selected forces.
 
-        Together with `scaled`, this function opens the loop at actuators.
+        The methods `scaled` and `only` together open the loop at actuators.
 
         Args:
             forces: True for each force that remains, shape (m,).

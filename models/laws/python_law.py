@@ -1,8 +1,8 @@
 """Controllers in the user's Python code: `law = "my_law.py:step"` in `[controllers.NAME]`, or a function passed to `sim.run`.
 
-This module reads the code but does not execute it. Linear analysis does not apply to Python laws. The files of Python laws must
-be in the folder of the vehicle file, or in a folder below it. A log, a result, or a vehicle file that is passed as text cannot
-refer to the file of a law.
+The module reads the code of a Python law but does not execute it. Linear analysis does not apply to Python laws. The files of
+Python laws must be in the folder of the vehicle file, or in a folder below it. A log, a result, or a vehicle file that is
+passed as text cannot refer to the file of a law.
 """
 
 import hashlib

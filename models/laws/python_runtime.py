@@ -133,7 +133,7 @@ class OwnLaw:
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
         """Calls the law once and checks its result.
 
-        The check is part of this function, because methods of the result may be user code, too.
+        The check is treated as part of the call, because methods of the result may be user code, too.
         """
         given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
         if not isinstance(given, tuple) or len(given) != 2:
@@ -204,7 +204,7 @@ class LawRuns:
         """Adds a run of a vehicle with the supplied parameters. Returns `vectorised`.
 
         Raises:
-            InputError: `OwnLaw` raises this error, in which case the run is not added.
+            InputError: `OwnLaw` raises an InputError, in which case the run is not added.
         """
         if not self.vectorised:
             self._laws.append(OwnLaw(self._controller, self._forces))
@@ -269,7 +269,7 @@ class FileRuns:
         """See `LawRuns.call`.
 
         Raises:
-            InputError: `LawRuns.call` raises this error, a call takes too long, or the code ends the process.
+            InputError: `LawRuns.call` raises an InputError, a call takes too long, or the code ends the process.
         """
         self._left += SLOWEST * period * self._count
         began = clock()

@@ -136,7 +136,8 @@ class CoefficientRange:
         return np.concatenate([beyond, forces - self.forces(beyond, closing, which)], axis=-1)
 
     def clip_coefficients(self, coefficients: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the same array as `commands`, but for requested coefficients instead of forces; shape (..., N, 2 m).
+        """Returns an array of the same form as `commands`, but for requested coefficients instead of forces; shape (..., N, 2
+        m).
 
         Args:
             coefficients: requested coefficients of the dampers, force divided by velocity [N s/m], shape (..., N, m).

@@ -3,7 +3,7 @@ RK4.
 
 Each actuator represents one straight segment of a characteristic. The control of a segment's actuator is always zero. The bias
 of the actuator is affine in length or speed, and a `forcerange` clips the bias. The gain of the actuator stays 1. If the gain
-were minus the slope of the bias over length, MuJoCo would interpret a positive slope over speed as a damping ratio. The
+were minus the slope of the bias against length, MuJoCo would interpret a positive slope against speed as a damping ratio. The
 suspension's own spring and damper remain in the MuJoCo model, and give the linearised force. The actuators of the segments add
 the deviation of the force from the linearised force.
 

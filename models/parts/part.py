@@ -6,9 +6,9 @@ inputs u. Linear analysis uses the following linearisation of F at equilibrium,
 
     F = k d + c v + b v' + C z + g u,    z' = A z + (rows for d, v and u),
 
-and all simulations add the difference between the force and its linearisation. A new part is a class in a file of this folder,
-or a force element of `[parts]` in a file of `elements`. A new part also needs a line in `EXTENSIONS` of
-`models.common.extensions`.
+and all simulations add the difference between the force and its linearisation. A new part is a class in a file of the folder
+`models/parts`, or a force element of `[parts]` in a file of its subfolder `elements`. A new part also needs a line in
+`EXTENSIONS` of `models.common.extensions`.
 """
 
 from abc import ABC, abstractmethod
@@ -381,8 +381,8 @@ class SettablePart(Part):
     """Damper whose coefficient a valve sets. The input of the damper is the coefficient minus the nominal coefficient [N s/m].
 
     The control force that the damper replaces is defined relative to the force of the nominal damper. Numbers, forces and
-    velocities are those between the damper's own ends, before the motion ratio is applied. Only the methods of `Part` use
-    forces and velocities at the wheel.
+    velocities are those of the damper itself, before its motion ratio is applied. Only the methods of `Part` use forces and
+    velocities at the wheel.
 
     Attributes:
         force: name of the control force that the damper replaces.
@@ -482,8 +482,8 @@ class Parts(tuple[SuspensionPart, ...]):
 
 @dataclass(frozen=True)
 class Straight(Part):
-    """Part whose force is the linearisation of the force of another part. Both parts have the same signals for their internal
-    states.
+    """Part whose force is the linearisation of the force of another part. The linearised part and the other part have the same
+    signals for their internal states.
     """
 
     at_rest: Line

@@ -4,13 +4,13 @@ actuators.
 An element pulls with F(d, v, z, u), where u is the voltage relative to the voltage without a command. The controller requests a
 force u* in addition to the force of the element without a command, as for other semi-active dampers
 (`models.characteristics.adjustable_range`). At each sample, the element receives a voltage between 0 and its largest voltage.
-With this voltage, the change of the force
+With the voltage that the element receives, the change of the force
 
     -(F(d, v, z, u) - F(d, v, z, 0))
 
-is as close as possible to the requested force u*, for the motion and the states at the sample. The voltage is held until the
-next sample of the controller. If several voltages give the same force, the element receives the voltage that is closest to the
-voltage without a command.
+is as close as possible to the requested force u*, for the motion and the states at the sample. The voltage is held constant
+until the next sample of the controller. If several voltages give the same force, the element receives the voltage that is
+closest to the voltage without a command.
 """
 
 from collections.abc import Mapping, Sequence

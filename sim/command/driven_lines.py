@@ -1,4 +1,6 @@
-"""Printed text of the commands that simulate a drive: `sim.bump` and `sim.drive`. With `--json`, this module is not loaded."""
+"""Printed text of the commands that simulate a drive: `sim.bump` and `sim.drive`. With `--json`, the module for printed text is
+not loaded.
+"""
 
 from argparse import Namespace
 from collections.abc import Sequence

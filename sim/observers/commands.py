@@ -121,7 +121,7 @@ def _readings(controller: AnyController, road: RoadInput, recording: Recording, 
     """Yields the differences between the measurements and the run's signals at the samples.
 
     An acceleration is measured before the new force and the new load act. Accelerations are therefore compared by
-    `sim.observers.steps` instead.
+    `sim.observers.steps`.
     """
     physics = from_steady(road, recording.response)
     rounded = roundings(road.vehicle, None)

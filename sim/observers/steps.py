@@ -9,7 +9,7 @@ every step begins at a simulated state, all steps can be computed together. Forc
 commands of the controller, with the limits and the lag of the vehicle file.
 
 The state and the forces at a sample also determine all other output signals. The other output signals are accelerations at the
-beginning of the step, velocities of points of the body, sums of signals, and the forces. The simulated values of these other
+beginning of the step, velocities of points of the body, sums of signals, and the forces. The simulated values of the other
 output signals must also equal the computed values.
 """
 

@@ -133,8 +133,8 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
 
 
 def _actuators(model: mujoco.MjModel) -> dict[str, str]:
-    """Returns the signal of every actuator that acts on a tendon, by tendon. Actuators that represent characteristics are
-    omitted.
+    """Returns the signal of every actuator that acts on a tendon; the keys are the names of the tendons. Actuators that
+    represent characteristics are omitted.
     """
     on_tendon = int(mujoco.mjtTrn.mjTRN_TENDON)
     names = {i: model.actuator(i).name for i in range(model.nu) if int(model.actuator_trntype[i]) == on_tendon}

@@ -133,8 +133,8 @@ class Hysteretic(Part):
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.rate`.
 
-        This method is for a part whose only state is z: the velocity of the part is then the velocity across the hysteretic
-        element.
+        The method `rate` is for a part whose only state is z: the velocity of the part is then the velocity across the
+        hysteretic element.
         """
         return self.evolution(v, z[..., 0])[..., None]
 

@@ -218,7 +218,7 @@ def _of_side(value: Any, side: str) -> Any:
 
 
 def read_stop_table(value: Mapping[str, Any]) -> StopTable:
-    """Returns the table of a stop in a vehicle file. Messages about the table contain `HERE` instead of its key."""
+    """Returns the table of a stop in a vehicle file. Messages about the table of a stop contain `HERE` instead of its key."""
     from models.characteristics.curve_reading import StopTableSection
 
     given = read(HERE, StopTableSection, value)
