@@ -48,7 +48,7 @@ class Car:
 
     Attributes:
         parameters: parameters of the type; their names determine how the body moves, and which axles have anti-roll bars.
-        corners: names of the c corners: an axle, a side, or an axle and a side.
+        corners: names of the c corners; a name consists of an axle, a side, or an axle and a side.
         modes: shares of the c corners in each mode of the tyre deflections, shape (c,), by name of the mode; the modes are
             states.
         warp: wheel motion that a rigid body cannot follow if all axles have the same track width, shape (c,); zero if the body
@@ -122,7 +122,7 @@ class Car:
         check_stands(self.body(p))
 
     def at_corners(self, *quantities: Signal) -> tuple[Signal, ...]:
-        """Returns the signals of each quantity at every corner."""
+        """Returns the signals of each supplied quantity at every corner."""
         return tuple(signal.at(corner) for signal in quantities for corner in self.corners)
 
     @property

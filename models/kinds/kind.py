@@ -186,9 +186,10 @@ class Suspension(CheckedFields):
             spring can replace the parameter.
         damping: name of the parameter of the damper; empty without a damper. A nonlinear characteristic of the
             damper can replace the parameter.
-        ratio: name of the parameter of the motion ratio: travel of all elements of the suspension, divided by the wheel travel.
-            The name `ratio` is empty if the spring, damper and actuator act directly at the wheel. The equations of a vehicle
-            type assume that all elements act at the wheel; `VehicleKind.at_wheels` converts the parameters accordingly.
+        ratio: name of the parameter of the motion ratio, which is the travel of all elements of the suspension divided by the
+            wheel travel. The name `ratio` is empty if the spring, damper and actuator act directly at the wheel. The equations
+            of a vehicle type assume that all elements act at the wheel; `VehicleKind.at_wheels` converts the parameters
+            accordingly.
     """
 
     deflection: Name
@@ -257,7 +258,7 @@ class Invariant(CheckedFields):
 
 @dataclass(frozen=True)
 class RidePoints:
-    """Points at which the ride is measured, each given by the signal of its vertical acceleration.
+    """Points at which the ride is measured, each identified by the signal of its vertical acceleration.
 
     Attributes:
         people: points at which a person sits or stands; may be empty. If the vehicle type does not name points for people, the
@@ -299,8 +300,8 @@ class VehicleKind(CheckedFields):
         static_tyre_deflection: function of the parameters that returns the compression of each tyre in equilibrium [m], by tyre
             deflection signal. A wheel leaves the ground if its tyre deflection (for a `DampedTyre`, the equivalent deflection)
             exceeds the compression in equilibrium.
-        write_mjcf: function of an `MjSpec` and of the parameters. The function writes the parameters into the `MjSpec`, which
-            is read from the type's `.xml` file, without importing MuJoCo.
+        write_mjcf: function that takes an `MjSpec` and the parameters. The function writes the parameters into the `MjSpec`,
+            which is read from the type's `.xml` file, without importing MuJoCo.
         folder: folder of the `.xml` file.
         check_together: function of the parameters that raises InputError if values that are valid individually are not a valid
             vehicle in combination.
@@ -528,7 +529,8 @@ class VehicleKind(CheckedFields):
         return tuple(suspensions)
 
     def of_corner(self, parameter: str, ending: str) -> str:
-        """Returns the name of a parameter for a corner, for its axle, or for the whole vehicle; empty if it does not exist.
+        """Returns the name of a parameter for a corner, for its axle, or for the whole vehicle; empty if the parameter does not
+        exist.
 
         Args:
             parameter: name of the parameter without a suffix.

@@ -237,8 +237,8 @@ class LinearModel:
     def with_inertance(self, speeds: Array, push: Array, shown: Array, inertance: Array) -> "LinearModel":
         """Returns the model with additional inerters along e lengths d of the vehicle, whose forces are f = b d''.
 
-        Let the lengths have the rates d' = S x, and let E be the effect of forces along the lengths. Then the inerters give the
-        force p = b S (x' + E p) = (1 - b S E)^-1 b S x', where x' is the rate without inerters.
+        Let the lengths have the rates d' = S x, and let E be the effect on x' of forces along the lengths. Then the inerters
+        give the force p = b S (x' + E p) = (1 - b S E)^-1 b S x', where x' is the rate without inerters.
 
         Args:
             speeds: matrix S of gains from the states to the rates of the lengths, shape (e, n).

@@ -18,12 +18,13 @@ pitch centre. The roll axis and the pitch axis are assumed to be horizontal and 
 assumed not to slip sideways, and to deflect only vertically. The links guide every wheel, so the deflection of a suspension is
 z - x theta + y phi - z_u at any pitch and roll angle.
 
-Links transmit a horizontal force F on the body to the tyres. Each axle takes a share s of a lateral force: the distance of the
-other axle from the centre of mass, divided by the wheelbase L. Through the links, a lateral force F increases the load on the
-outer wheel of the axle by s F h_axle / track. The height of the axle's roll centre is h_axle. A longitudinal force F at
-the height h transfers the load F h / L between the axles. The parameter `anti_...` of an axle is the share of the axle's load
-transfer that the links carry. The front axle has the share b_f of the braking force. Let beta be the slope angle, in side view,
-of a line from the wheel to the instant centre. Then (Gillespie, ch. 7; Milliken, ch. 17), for a vehicle with rear-wheel drive,
+Links transmit a horizontal force F on the body to the tyres. The share s of a lateral force that an axle carries is the
+distance of the other axle from the centre of mass, divided by the wheelbase L. Through the links, a lateral force F increases
+the load on the outer wheel of the axle by s F h_axle / track. The height of the axle's roll centre is h_axle. A longitudinal
+force F at the height h transfers the load F h / L between the axles. The parameter `anti_...` of an axle is the share of the
+axle's load transfer that the links carry. The front axle has the share b_f of the braking force. Let beta be the slope angle,
+in side view, of a line from the wheel to the instant centre. Then (Gillespie, ch. 7; Milliken, ch. 17), for a vehicle with
+rear-wheel drive,
 
     anti_dive_front = b_f tan(beta) L / h
     anti_lift_rear = (1 - b_f) tan(beta) L / h

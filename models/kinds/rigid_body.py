@@ -246,7 +246,7 @@ class RigidBody:
         return np.linalg.pinv(self.shape.T) @ weight
 
     def static_tyre_deflection(self) -> dict[str, float]:
-        """Returns the compression of each tyre in equilibrium [m], by tyre deflection signal."""
+        """Returns the compression of each tyre in equilibrium [m]; the keys are the tyre deflection signals."""
         loads = zip(self.corners, self.static_loads(), strict=True)
         return {
             f"tyre_deflection_{corner.name}": float(load + corner.unsprung_mass * GRAVITY) / corner.tyre_stiffness

@@ -284,7 +284,9 @@ class RigidMotion:
         return q, hubs, rates, hub_rates
 
     def _struts(self, q: Array, hubs: Array, rates: Array, hub_rates: Array) -> tuple[Array, Array, Array, Array]:
-        """Returns the deflections d and their rates d', shape (T, c), the matrices J, shape (T, c, k), and e, shape (T, c)."""
+        """Returns the deflections d and their rates d', shape (T, c), the matrices J, shape (T, c, k), and the factors e of the
+        hub forces, shape (T, c).
+        """
         if q.shape[1] == 1:
             return q - hubs, rates - hub_rates, np.ones((*hubs.shape, 1)), np.ones_like(hubs)
         if self.body.has_axis:

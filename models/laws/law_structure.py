@@ -37,7 +37,7 @@ def pid_filter(kind: str, filter: float) -> LinearLaw:
     """Returns the continuous-time system from a measurement y to three signals: y, the integral of y, and the filtered
     derivative of y.
 
-    For a PI law, the system has no derivative.
+    For a PI law, the filtered derivative is omitted.
     """
     if kind == PI:
         return LinearLaw(np.zeros((1, 1)), np.ones((1, 1)), np.array([[0.0], [1.0]]), np.array([[1.0], [0.0]]))

@@ -142,8 +142,7 @@ class LinearLaw(LawSource):
         return float(fastest) if fastest > rounding else 0.0
 
     def response(self, omega: float | Array) -> Array:
-        """Returns the law's transfer matrix at a frequency, complex, shape (m, q); for frequencies of shape (F,), shape (F, m,
-        q).
+        """Returns the law's transfer matrix at one frequency, complex, shape (m, q), or at F frequencies, shape (F, m, q).
 
         Args:
             omega: angular frequency [rad/s]; for a discrete law, below pi divided by the sample period.

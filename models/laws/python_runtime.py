@@ -282,7 +282,9 @@ class FileRuns:
             self._left -= clock() - began
 
     def _answer(self, name: str, longest: float, when: str, *message: Any) -> Any:
-        """Returns the answer of the child process. After the process has ended, every call raises the same error."""
+        """Returns the answer of the child process. After the child process has ended, every further call raises the error that
+        reports this end.
+        """
         if self._error is None:
             try:
                 return self._child.ask(message, longest)

@@ -47,7 +47,7 @@ class LawCoefficients:
         modes: factors from the velocities of the body's b modes to the velocities at the suspensions, as two tuples of b arrays
             of shape (N, m). The factors in the first tuple also include the sky damping of the mode, relative to `sky`.
         mix: weight of skyhook in a hybrid law, from 0 (only groundhook) to 1 (only skyhook), shape (N, m).
-        crossover: crossover frequency of the mixed law, which is skyhook below it and ADD above it [rad/s], shape (N, m).
+        crossover: frequency below which the mixed law is skyhook, and above which it is ADD [rad/s], shape (N, m).
         still: velocity that replaces a velocity of 0 [m/s].
     """
 

@@ -42,7 +42,7 @@ class Adjustable(SettablePart):
     native = True
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.pull`. The input u is the coefficient minus the nominal coefficient [N s/m]."""
+        """See `Part.pull`. The input u of the damper is its coefficient minus the nominal coefficient [N s/m]."""
         return self.ratio * self.force_at(self.ratio * v, u)
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:

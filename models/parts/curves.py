@@ -72,7 +72,7 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> dict[str, RatioTab
 
 
 def static_loads(kind: VehicleKind, parameters: Mapping[str, float]) -> dict[str, float]:
-    """Returns the static load of each spring [N], by the parameter of its stiffness; empty if the loads are unknown."""
+    """Returns the static load of each spring [N], by the name of its stiffness parameter; empty if the loads are unknown."""
     loads = kind.static_loads(parameters)
     springs = {part.stiffness: part for part in kind.suspensions if part.stiffness and part.deflection in loads}
     return {name: loads[part.deflection] / part.motion_ratio(parameters) for name, part in springs.items()}

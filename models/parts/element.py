@@ -32,7 +32,7 @@ class Element:
     Attributes:
         name: name of the section `[parts.NAME]`.
         corners: names of the corners with the element; one empty name if the vehicle has a single suspension.
-        part: the part, before its motion ratio is applied.
+        part: part that represents the element, before its motion ratio is applied.
     """
 
     name: str

@@ -197,7 +197,7 @@ class Part(ABC):
         return self.pull(d, v, z, u) - self.line(d, v, u, z)
 
     def rate_beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the difference between the rates of the internal states and their linearisation, shape (..., n).
+        """Returns the rates of the internal states minus their linearisation, shape (..., n).
 
         For the arguments, see `pull`.
         """
@@ -378,7 +378,7 @@ def state_signals(part: Part, element: str, place: "Suspension") -> "tuple[Signa
 
 @dataclass(frozen=True)
 class SettablePart(Part):
-    """Damper whose coefficient a valve sets. The input of the damper is the coefficient minus the nominal coefficient [N s/m].
+    """Damper whose coefficient a valve sets. The input of the damper is its coefficient minus the nominal coefficient [N s/m].
 
     The control force that the damper replaces is defined relative to the force of the nominal damper. Numbers, forces and
     velocities are those of the damper itself, before its motion ratio is applied. Only the methods of `Part` use forces and

@@ -1,4 +1,4 @@
-"""Parts with a motion ratio: the travel between the part's own ends, divided by the travel of the wheel.
+"""Parts with a motion ratio, which is the travel between the part's own ends divided by the travel of the wheel.
 
 The motion ratio is constant or depends on the travel. The part's own travel D(d) is the integral of the ratio r(d) from
 equilibrium. If the part carries the load W at the wheel in equilibrium, the force at the wheel is
@@ -147,7 +147,8 @@ class AtRatio(Part):
     def curve(self) -> ForceCurve | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """See `Part.curve`.
 
-        For a spring, the characteristic has all points of a fine table. For a damper, the characteristic is a `ForceSurface`.
+        For a spring, the characteristic is computed at the points of both tables and of a fine grid. For a damper, the
+        characteristic is a `ForceSurface`.
         """
         own = self.part.curve
         if own is None or isinstance(self.table, Constant):
@@ -160,7 +161,7 @@ class AtRatio(Part):
         return ForceCurve(x, force, float(self.line.stiffness), f"{own.words}, at its motion ratio")
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the limits of the part, converted to the wheel.
+        """Returns the limits of the part, converted to limits at the wheel.
 
         If the ratio changes with travel, the limit of a characteristic becomes a limit of the force, because the force then
         depends on deflection and velocity.

@@ -165,8 +165,8 @@ def _roots(a: Array, b: Array, c: Array) -> list[Array]:
 
 
 def set_element(damper: ElementDamper, place: Suspension, part: Part) -> SetElement:
-    """Returns the element at a suspension whose voltage a controller sets. The argument `part` is the element or its
-    linearisation.
+    """Returns the force element at a suspension; a controller sets the voltage of the element. The argument `part` is the
+    element or its linearisation.
     """
     return SetElement(place.force, place.ending, damper, damper.element.voltage, element=damper.element, without=part)
 

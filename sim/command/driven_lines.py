@@ -122,8 +122,8 @@ def _start_lines(options: Namespace, driven: Sequence[VehicleRuns]) -> list[str]
 def _finding_lines(runs: Sequence[Run], verbose: bool) -> list[str]:
     """Returns the lines about the runs that are printed above the table of controllers.
 
-    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, the lines contain only warnings and the
-    reasons why a run fails or diverges.
+    For at most `FEW` runs, the lines contain all findings and warnings. For more than `FEW` runs, the lines contain only
+    warnings and the reasons why a run fails or diverges.
     """
     few = len(runs) <= FEW
     said = [(run.controller.name, one) for run in runs for one in sentences(run, full=False) if one.detail == "normal"]

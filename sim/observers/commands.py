@@ -173,7 +173,7 @@ def _commands(
 def _limit_commands(limiter: CommandLimiter, requested: Array, logged: Array) -> Array:
     """Returns the command at each sample after limiting the rate, shape (K, m).
 
-    Each command starts from the logged command of the previous sample.
+    Each command is limited relative to the logged command of the previous sample.
 
     Args:
         logged: commands that acted in the run, by sample, shape (.., m). After the last logged command, each command starts

@@ -10,9 +10,9 @@ The symbol E denotes the kinetic and potential energy. The residual of the energ
 and of the numerical integrals. The integrals are computed with Simpson's rule. The values in the middle of a step are those of
 the cubic Hermite polynomial through the lengths l and rates l' at both ends of the step. The slope of the cubic polynomial in
 the middle of the step has an error of fourth order in the step. If every spring is linear in its length, the residual is
-therefore of order 4, as for RK4. A spring may start or stop acting within a step, for example if a tyre leaves the road. If a
-spring starts or stops acting, its force has a kink, and the residual is only of about second order. Knots of characteristics
-also cause kinks in the force.
+therefore of fourth order in the step, as for RK4. A spring may start or stop acting within a step, for example if a tyre leaves
+the road. If a spring starts or stops acting, its force has a kink, and the residual is only of about second order. Knots of
+characteristics also cause kinks in the force.
 
 The energy E is computed with the vehicle's own equations (`StoredEnergy`), with the masses, inertias, weights and linear
 springs of the vehicle file. The states for the energy come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore

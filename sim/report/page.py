@@ -46,7 +46,7 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
         provenance: texts that state how the report was made, such as time and command; the keys are the titles of the texts.
         begin: function that starts the computations of the studies and returns a function that waits for their results; see
             `Processes.begin`.
-        progress: callback that receives the name of each study when it begins.
+        progress: callback that receives the name of each study when the study begins.
     """
     # The copy of `scope` omits the cached runs, because transferring them would take long
     answers = begin(requests_of(replace(scope)), progress)
@@ -86,7 +86,7 @@ def stages(scope: Subject) -> tuple[str, ...]:
 
 
 def _compare_controllers(scope: Subject, over_roads: Sequence[Score]) -> list[Score]:
-    """Returns the scores of all controllers over random roads or, if there are none, over the road of the page.
+    """Returns the scores of all controllers over random roads or, if there are no random roads, over the road of the page.
 
     The score of the passive vehicle comes first. A controller without runs over random roads, for example a controller with an
     unstable loop, has a score without numbers.

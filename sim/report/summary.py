@@ -97,7 +97,8 @@ def requirements_table(scope: Subject, runs: Sequence[Run]) -> Table | None:
 
 @np.errstate(over="ignore")  # the squares of an unstable loop overflow
 def trust_section(scope: Subject, runs: Sequence[Run], ends: Sequence[OneEnd], wrong: Sequence[str]) -> Document:
-    """Returns the section that compares predictions with MuJoCo, and states up to which bump height linear analysis is valid.
+    """Returns the section that compares predictions of linear analysis with MuJoCo, and states up to which bump height linear
+    analysis is valid.
 
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.

@@ -44,7 +44,8 @@ class StopTable:
     Attributes:
         compression: compression of the stop or of the suspension, ascending [m].
         force: force at each compression [N], positive if the force resists compression.
-        fit_error: largest error of an approximation with fewer points, relative to the largest force; None for the default.
+        fit_error: largest error of an approximation of the table with fewer points, relative to the largest force; None for the
+            default.
         note: phrase with a remark about the table.
     """
 
