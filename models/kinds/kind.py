@@ -182,10 +182,10 @@ class Suspension(CheckedFields):
         deflection: signal of the suspension's extension.
         tendon: name of the MJCF tendon of the suspension. A bump stop of the suspension acts in parallel with the tendon.
         force: name of the input that acts along the suspension; empty for a passive suspension.
-        stiffness: name of the parameter of the spring; empty without a spring. A nonlinear characteristic of the spring
-            can replace the parameter.
-        damping: name of the parameter of the damper; empty without a damper. A nonlinear characteristic of the damper
-            can replace the parameter.
+        stiffness: name of the parameter of the spring; empty without a spring. A characteristic of the spring in `[curves]` can
+            replace the parameter.
+        damping: name of the parameter of the damper; empty without a damper. A characteristic of the damper in `[curves]` can
+            replace the parameter.
         ratio: name of the parameter of the motion ratio, which is the travel of all elements of the suspension divided by the
             wheel travel. The name `ratio` is empty if the spring, damper and actuator act directly at the wheel. The equations
             of a vehicle type assume that all elements act at the wheel; `VehicleKind.at_wheels` converts the parameters

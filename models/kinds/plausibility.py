@@ -125,7 +125,7 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
     """Yields the quantities of a vehicle at one place after another; the keys are the names that `RULES` uses.
 
     The first place of the vehicle is the body. For the body, the springs and dampers of all corners are added, so its frequency
-    and damping ratio are approximate. Dampers with a nonlinear characteristic are omitted; `suspension_doubts` checks these
+    and damping ratio are approximate. Dampers with a characteristic in `[curves]` are omitted; `suspension_doubts` checks these
     dampers.
 
     Args:

@@ -1,4 +1,4 @@
-"""Semi-active dampers in a vehicle, and the nonlinear characteristics that act in parallel with them.
+"""Semi-active dampers in a vehicle, and the characteristics in `[curves]` that act in parallel with these dampers.
 
 If a suspension with a semi-active damper also has a characteristic in `[curves]`, the characteristic acts in parallel with the
 damper, like the friction of a strut. At every setting of the damper, only the deviation of the parallel characteristic from its

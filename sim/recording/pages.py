@@ -174,8 +174,8 @@ def groups(runs: Sequence[RunLog]) -> dict[str, tuple[Signal, ...]]:
 
     The groups of signals are the overview, all other signals and, for a single run, the states of its controller.
 
-    The overview shows the signals of the corner with the largest suspension travel. If there are many signals outside the
-    overview, they are grouped by type of signal. Types with only one or two signals, such as heave and pitch, share a page.
+    The overview shows the signals of the corner with the largest suspension travel. If there are many other signals, these
+    signals are grouped by type. Types with only one or two signals, such as heave and pitch, share a page.
     """
     signals = [signal for signal in signals_of(runs) if not is_kept(signal) and not signal.name.startswith((*ROADS,))]
     named = {signal.name: signal for signal in signals}
