@@ -1,7 +1,7 @@
 """Simulations in MuJoCo, their comparison with linear analysis, logs, and the commands of Roadproof.
 
-Start with `run`, which drives a controller over a road and returns a `Run`. Each public name is imported when it is first used.
-All units are SI. The public names are:
+Start with `run`, which simulates a vehicle with a controller on a road and returns a `Run`. Each public name is imported when
+it is first used. All quantities are in SI units. The public names of this package are:
 
 - Simulate: `run` and its result `Run`; `sample_times`; `Response`, the signals of a run, with `to_pandas` and `to_control`.
 - Evaluate a run: `measure_run` returns ride, suspension travel and road holding as `RunMetrics`.
@@ -11,7 +11,7 @@ All units are SI. The public names are:
 - Select a controller: `recommend` searches for the best controllers for a vehicle and a road, and returns a `Recommendation`.
 - Add a control law in Python: `Driver` is the interface whose methods the simulation loop calls for many runs together.
 
-Names in these modules that are not public can change without notice.
+Names in the modules of `sim` that are not public can change without notice.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""`python -m sim.bump`: simulates controllers over a bump in MuJoCo, compares with linear analysis, and writes logs."""
+"""`python -m sim.bump`: simulates controllers over a bump in MuJoCo, compares the runs with linear analysis, and writes logs."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -32,7 +32,7 @@ examples:
 
 
 def parser() -> Parser:
-    """Returns the command-line parser."""
+    """Returns the command-line parser of the command."""
     parser = Parser(
         "sim.bump", "Drive over one bump in MuJoCo and in linear analysis, compare the responses, and record them.", EPILOG
     )
@@ -49,10 +49,11 @@ def parser() -> Parser:
 
 
 def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Bump":
-    """Returns the bump that the options describe. `time` contains the sample times of the run [s], shape (T,).
+    """Returns the bump that the command-line options describe. The array `time` contains the sample times of the run [s], shape
+    (T,).
 
     Raises:
-        InputError: the vehicle cannot be driven over this bump.
+        InputError: the vehicle cannot be driven over the bump.
     """
     from models.roads.road import Bump
 

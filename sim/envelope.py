@@ -1,4 +1,6 @@
-"""`python -m sim.envelope`: finds where linear analysis is valid, over one or two of bump height, bump length and speed."""
+"""`python -m sim.envelope`: finds where linear analysis is valid, as a function of one or two of bump height, bump length and
+speed.
+"""
 
 if __name__ == "__main__":
     from models.common.cli import run

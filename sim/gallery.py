@@ -1,4 +1,4 @@
-"""`python -m sim.gallery`: compares published numbers with the numbers that Roadproof computes."""
+"""`python -m sim.gallery`: compares published results with the results that Roadproof computes."""
 
 if __name__ == "__main__":
     from models.common.cli import run

@@ -32,7 +32,7 @@ examples:
 
 
 def parser() -> Parser:
-    """Returns the command-line parser."""
+    """Returns the command-line parser of the command."""
     parser = Parser("sim.new", "Write a commented vehicle file that works with every command.", EPILOG)
     parser.add_argument("file", type=Path, nargs="?", metavar="FILE", help="file to write, such as my_car.toml")
     parser.add_argument("--type", choices=TYPES, default=TYPES[0], help=f"vehicle type (default: {TYPES[0]})")

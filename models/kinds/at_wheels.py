@@ -12,7 +12,9 @@ from models.kinds.linear_model import LinearModel
 
 
 def wheel_model(kind: VehicleKind, parameters: Parameters) -> LinearModel:
-    """Returns the linear model whose inputs are forces at the wheels, each an actuator force times its motion ratio."""
+    """Returns the linear model whose inputs are the forces at the wheels; each force at a wheel is an actuator force times its
+    motion ratio.
+    """
     return kind.model(kind.at_wheels(parameters))
 
 
@@ -46,8 +48,8 @@ def force_effects(kind: VehicleKind, parameters: Parameters, deflections: Sequen
 
 
 def ratio_notes(kind: VehicleKind, given: Parameters) -> list[str]:
-    """Returns notes with the spring and damper rates at the wheel for each motion ratio; empty if no suspension has a motion
-    ratio.
+    """Returns notes, one for each motion ratio, with the spring and damper rates at the wheel; empty if no suspension has a
+    motion ratio.
     """
     wheel, notes = kind.at_wheels(given), dict[str, None]()
     for part in kind.suspensions:

@@ -44,12 +44,13 @@ def lateral(corner: str, p: Parameters) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Car:
-    """The functions of a vehicle type with a rigid body.
+    """The functions that define a vehicle type with a rigid body.
 
     Attributes:
         parameters: parameters of the type; their names determine how the body moves, and which axles have anti-roll bars.
-        corners: names of the c corners: an axle, a side, or an axle and a side.
-        modes: modes of the tyre deflections that are states, by name; each mode has the shape (c,).
+        corners: names of the c corners; a name consists of an axle, a side, or an axle and a side.
+        modes: shares of the c corners in each mode of the tyre deflections, shape (c,), by name of the mode; the modes are
+            states.
         warp: wheel motion that a rigid body cannot follow if all axles have the same track width, shape (c,); zero if the body
             can follow every motion.
     """
@@ -121,7 +122,7 @@ class Car:
         check_stands(self.body(p))
 
     def at_corners(self, *quantities: Signal) -> tuple[Signal, ...]:
-        """Returns the signals of each quantity at every corner."""
+        """Returns the signals of each supplied quantity at every corner."""
         return tuple(signal.at(corner) for signal in quantities for corner in self.corners)
 
     @property
@@ -158,7 +159,7 @@ class Car:
         return rigid_body.linear_model(self.body(p), self.states, forces, roads, (*self.outputs, *self.on_demand))
 
     def motion(self, p: Parameters) -> "Motion":
-        """Returns the exact equations of motion. The states of these equations include the deflection of every tyre."""
+        """Returns the exact equations of motion. The states in the equations of motion include the deflection of every tyre."""
         from models.kinds.rigid_motion import rigid_motion
 
         lengths = self.at_corners(signals.SUSPENSION_DEFLECTION, signals.TYRE_DEFLECTION)
@@ -166,11 +167,11 @@ class Car:
         return rigid_motion(self.body(p), states, (*self.derived, *self.on_demand))
 
     def static_tyre_deflection(self, p: Parameters) -> dict[str, float]:
-        """Returns the compression of each tyre in equilibrium [m], by tyre deflection signal."""
+        """Returns the compression of each tyre in equilibrium [m]; the keys are the tyre deflection signals."""
         return self.body(p).static_tyre_deflection()
 
     def static_loads(self, p: Parameters) -> dict[str, float]:
-        """Returns the weight of the body on each suspension [N], by deflection signal."""
+        """Returns the weight of the body on each suspension [N]; the keys are the suspension deflection signals."""
         names = (signal.name for signal in self.at_corners(signals.SUSPENSION_DEFLECTION))
         return dict(zip(names, self.body(p).static_loads().tolist(), strict=True))
 
@@ -183,8 +184,8 @@ class Car:
         return links.wheel_loads(p, self.corners)
 
     def carried(self, p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:
-        """Returns the loads [N, N m] that links and wheel inertia cause in addition to the moment of a force on the body, by
-        name.
+        """Returns the loads [N, N m], by name of the load, that links and wheel inertia cause in addition to the moment of a
+        force on the body.
 
         For the arguments, see `links.carried_loads`.
         """
@@ -195,7 +196,7 @@ class Car:
         return rigid_body.angles(self.body(p))
 
     def kind(self, name: str, lacking: Mapping[str, str] | None = None) -> VehicleKind:
-        """Returns the vehicle type. For the arguments, see `VehicleKind`."""
+        """Returns the vehicle type that the car's functions define. For the arguments, see `VehicleKind`."""
         sides = {corner: next((side for side in links.SIDES if corner.endswith(side)), "") for corner in self.corners}
         combined = {
             mode.name: {f"tyre_deflection_{corner}": float(share) for corner, share in zip(self.corners, pattern, strict=True)}

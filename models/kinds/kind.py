@@ -34,8 +34,8 @@ class Variation(CheckedFields):
 
     Attributes:
         name: name of the varied quantity.
-        smallest: smallest factor on the parameter.
-        largest: largest factor on the parameter.
+        smallest: smallest factor by which the parameter is multiplied.
+        largest: largest factor by which the parameter is multiplied.
 
     Raises:
         InputError: a factor is not above 0.
@@ -53,14 +53,14 @@ class Parameter(CheckedFields):
     Attributes:
         name: key in `[parameters]`.
         unit: SI unit of the number.
-        meaning: description in one line.
-        positive: True if 0 is not allowed. Infinite, NaN and extremely large values are never allowed.
+        meaning: description of the parameter in one line.
+        positive: True if the value 0 is not allowed. Infinite, NaN and extremely large values are never allowed.
         varied: argument without effect, which vehicle types written for earlier versions may still contain.
         largest: largest allowed value.
         usual: default value; None for a parameter without a default.
         smallest: smallest allowed value; None means 0 or, if `positive` is True, the smallest positive value.
-        optional: True if a vehicle file may omit the parameter. A vehicle without the parameter differs from a vehicle with any
-            value of the parameter.
+        optional: True if a vehicle file may omit the parameter. No value of an optional parameter has the same effect as the
+            omission of the parameter.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Parameter(CheckedFields):
             self.check(self.usual)
 
     def check(self, value: Any) -> float:
-        """Returns the value as a float.
+        """Returns the value of the parameter as a float.
 
         Raises:
             InputError: the value is not a number in the allowed range.
@@ -125,7 +125,7 @@ Parameters = Mapping[str, float]
 
 # The default functions of a vehicle type have names, because pickle cannot find lambdas.
 def nowhere_else(p: Parameters) -> float:
-    """Returns 0 m, for a wheel at the longitudinal position of the first wheel, or on the vehicle's centre line."""
+    """Returns a distance of 0 m, for a wheel that is not behind the first wheel, or that is on the vehicle's centre line."""
     return 0.0
 
 
@@ -139,13 +139,13 @@ class Wheel(CheckedFields):
     """Wheel: a point where a road acts on the vehicle.
 
     Attributes:
-        road_body: MJCF mocap body of the road under this wheel.
-        road_displacement: signal of the road height under this wheel.
-        road_velocity: signal of the vertical road velocity under this wheel, a disturbance of the linear model.
-        tyre_deflection: signal of the deflection of the tyre on this wheel.
-        behind: function of the parameters: distance behind the first wheel [m].
+        road_body: MJCF mocap body that represents the road under the wheel.
+        road_displacement: signal of the road height under the wheel.
+        road_velocity: signal of the vertical road velocity under the wheel, a disturbance of the linear model.
+        tyre_deflection: signal of the deflection of the wheel's tyre.
+        behind: function of the parameters that returns the distance of the wheel behind the first wheel [m].
         side: track of the wheel, "left" or "right"; empty if the vehicle has only one track.
-        lateral: function of the parameters: distance to the left of the vehicle's centre line [m].
+        lateral: function of the parameters that returns the distance of the wheel to the left of the vehicle's centre line [m].
     """
 
     road_body: Name
@@ -161,7 +161,7 @@ class Wheel(CheckedFields):
 class DampedTyre:
     """Tyre with stiffness k and damping c.
 
-    The force is k times the equivalent deflection t + (c / k) (z_u' - z_r').
+    The tyre force is k times the equivalent deflection t + (c / k) (z_u' - z_r'), where t is the tyre deflection.
 
     Attributes:
         hub: signal of the hub velocity z_u'.
@@ -180,13 +180,16 @@ class Suspension(CheckedFields):
 
     Attributes:
         deflection: signal of the suspension's extension.
-        tendon: name of the MJCF tendon of the suspension. A bump stop acts in parallel with this tendon.
+        tendon: name of the MJCF tendon of the suspension. A bump stop of the suspension acts in parallel with the tendon.
         force: name of the input that acts along the suspension; empty for a passive suspension.
-        stiffness: name of the parameter of the spring; empty without a spring. A characteristic can replace the parameter.
-        damping: name of the parameter of the damper; empty without a damper. A characteristic can replace the parameter.
-        ratio: name of the parameter of the motion ratio: travel of all elements of the suspension, divided by the wheel travel.
-            Empty if the elements act directly at the wheel. The equations of a vehicle type are for elements at the wheel;
-            `VehicleKind.at_wheels` converts the parameters.
+        stiffness: name of the parameter of the spring; empty without a spring. A characteristic of the spring in `[curves]` can
+            replace the parameter.
+        damping: name of the parameter of the damper; empty without a damper. A characteristic of the damper in `[curves]` can
+            replace the parameter.
+        ratio: name of the parameter of the motion ratio, which is the travel of all elements of the suspension divided by the
+            wheel travel. The name `ratio` is empty if the spring, damper and actuator act directly at the wheel. The equations
+            of a vehicle type assume that all elements act at the wheel; `VehicleKind.at_wheels` converts the parameters
+            accordingly.
     """
 
     deflection: Name
@@ -202,7 +205,7 @@ class Suspension(CheckedFields):
 
     @property
     def ending(self) -> str:
-        """Suffix in the names of signals and parameters at the corner of this suspension."""
+        """Suffix in the names of signals and parameters at the corner of the suspension."""
         return self.deflection.removeprefix(SUSPENSION_DEFLECTION.name)
 
     @property
@@ -212,7 +215,7 @@ class Suspension(CheckedFields):
 
     @property
     def velocity(self) -> Signal:
-        """Signal of the extension rate."""
+        """Signal of the suspension's extension rate."""
         common = self.deflection.startswith(SUSPENSION_DEFLECTION.name)
         corner = self.corner if common else self.deflection
         return SUSPENSION_VELOCITY.at(corner) if corner else SUSPENSION_VELOCITY
@@ -225,7 +228,8 @@ class BodyLoad(CheckedFields):
     Attributes:
         name: name of the load in the linear model: `heave_load` [N], `pitch_load` or `roll_load` [N m], or `wheel_load_...`
             [N].
-        joint: slide or hinge joint of the MJCF along which the load acts. Load and joint have the same positive direction.
+        joint: slide or hinge joint of the MJCF along which the load acts. The load and the joint have the same positive
+            direction.
     """
 
     name: str
@@ -241,8 +245,9 @@ class Invariant(CheckedFields):
     Attributes:
         name: name of the transmissibility, such as "z_s/z_r".
         signals: signals whose sum is the output of the transmissibility.
-        omega: function of the parameters: angular frequency [rad/s].
-        magnitude: function of the parameters: magnitude of the transmissibility at this frequency, above 0.
+        omega: function of the parameters that returns the angular frequency [rad/s].
+        magnitude: function of the parameters that returns the magnitude of the transmissibility at the frequency `omega`, above
+            0.
     """
 
     name: str
@@ -253,10 +258,10 @@ class Invariant(CheckedFields):
 
 @dataclass(frozen=True)
 class RidePoints:
-    """Points at which the ride is measured, each given by the signal of its vertical acceleration.
+    """Points at which the ride is measured, each identified by the signal of its vertical acceleration.
 
     Attributes:
-        people: points at which a person sits or stands; may be empty. If the vehicle type does not name these points, the
+        people: points at which a person sits or stands; may be empty. If the vehicle type does not name points for people, the
             masses above the body are used.
         others: remaining points of the body at which the ride is measured.
         named: True if the vehicle type gives names to the points at which a person sits or stands.
@@ -268,7 +273,7 @@ class RidePoints:
 
     @property
     def all(self) -> tuple[str, ...]:
-        """All points. The points at which a person sits or stands come first."""
+        """All points. In the list of points, those at which a person sits or stands come first."""
         return (*self.people, *self.others)
 
     @property
@@ -290,44 +295,46 @@ class VehicleKind(CheckedFields):
         signals: signals that every vehicle of the type has: outputs of the linear model, and sensors of the MJCF with the same
             names.
         wheels: wheels in the order of the linear model's disturbances.
-        linear_model: function of the parameters: `LinearModel` of all signals, including the signals on demand. The method
-            `model` returns the linear model with only the outputs in `signals`.
-        static_tyre_deflection: function of the parameters: compression of each tyre in equilibrium [m], by tyre deflection
-            signal. A wheel leaves the ground if its tyre deflection (for a `DampedTyre`, the equivalent deflection) exceeds
-            this value.
-        write_mjcf: function of an `MjSpec` and of the parameters. The function writes the parameters into the `MjSpec`, which
-            is read from the type's `.xml` file, without importing MuJoCo.
+        linear_model: function of the parameters that returns the `LinearModel` of all signals, including the signals on demand.
+            The method `model` returns the linear model with only the outputs in `signals`.
+        static_tyre_deflection: function of the parameters that returns the compression of each tyre in equilibrium [m], by tyre
+            deflection signal. A wheel leaves the ground if its tyre deflection (for a `DampedTyre`, the equivalent deflection)
+            exceeds the compression in equilibrium.
+        write_mjcf: function that takes an `MjSpec` and the parameters. The function writes the parameters into the `MjSpec`,
+            which is read from the type's `.xml` file, without importing MuJoCo.
         folder: folder of the `.xml` file.
-        check_together: function of the parameters: raises InputError if parameters that are valid individually are not a valid
+        check_together: function of the parameters that raises InputError if values that are valid individually are not a valid
             vehicle in combination.
         combined: signals without a sensor that are weighted sums of other signals, as {name: {other signal: factor}}.
-        suspended: suspensions of the type. None means: there is one suspension for each signal `suspension_deflection...`. The
-            suspension's tendon `suspension...` and its force `control_force...`, if it exists, have the same suffix as this
-            signal.
+        suspended: suspensions of the type. If `suspended` is None, there is one suspension for each signal
+            `suspension_deflection...`. The suspension's tendon `suspension...` and its force `control_force...`, if it exists,
+            have the same suffix as the deflection signal.
         invariants: transmissibilities that no suspension force can change.
-        on_demand: signals that a vehicle has only if its file names them. Signals on demand are outputs and sensors like other
-            signals, but take no computing time if the file does not name them.
+        on_demand: signals that a vehicle has only if its vehicle file names them. Signals on demand are outputs and sensors
+            like other signals, but take no computing time if the file does not name them.
         loads: external loads on the body, in the order of the linear model's loads. If the vehicle has loads on its wheels, the
             linear model contains the wheel loads after the loads on the body.
-        wheel_loads: function of the parameters: loads on the wheels due to suspension links and wheel inertia, if the vehicle
-            file describes them.
+        wheel_loads: function of the parameters that returns the loads on the wheels due to suspension links and wheel inertia,
+            if the vehicle file describes them.
         carried: function that returns the loads that suspension links and wheel inertia cause in addition to the moment of a
-            force on the body. The arguments of this function are the parameters, the direction, the force [N] and the
-            acceleration of the wheels [m/s2]. The direction is "roll_load" for a force to the right, or "pitch_load" for a
-            forward force.
-        angles: function of the parameters: angles of the body relative to level ground [rad], each as a weighted sum of
-            signals. The result has the form {"pitch_angle": {signal: factor}, "roll_angle": {signal: factor}}.
-        motion: function of the parameters: exact equations of motion, independent of the MJCF. The value is None if the type
-            has no exact equations; MuJoCo is then compared only with the linear model.
-        static_loads: function of the parameters: weight of the body on each suspension [N], by deflection signal; empty if
-            unknown.
+            force on the body. The arguments of `carried` are the parameters, the direction, the force [N] and the acceleration
+            of the wheels [m/s2]. The direction is "roll_load" for a force to the right, or "pitch_load" for a forward force.
+        angles: function of the parameters that returns the angles of the body relative to level ground [rad], each as a
+            weighted sum of signals. The function returns a mapping of the form {"pitch_angle": {signal: factor}, "roll_angle":
+            {signal: factor}}.
+        motion: function of the parameters that returns exact equations of motion, independent of the MJCF. If the type has no
+            exact equations, `motion` is None and MuJoCo is compared only with the linear model.
+        static_loads: function of the parameters that returns the weight of the body on each suspension [N], by deflection
+            signal; empty if the weights are unknown.
         ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by the name of
-            the ratio's parameter. Empty, except in the copy of the type that belongs to a vehicle with such ratios.
+            the ratio's parameter. The mapping is empty, except in the copy of the type that belongs to a vehicle whose motion
+            ratios change with travel.
         people: signals of the accelerations [m/s2] at points where a person sits or stands, the most important point first.
-            None means the signals of the masses above the body, if a vehicle has such masses. An empty tuple means that there
-            is no person.
+            If `people` is None, the signals of the masses above the body are used, if the vehicle has masses above the body. If
+            `people` is an empty tuple, no person is on the vehicle.
         of_parts: signals of the internal states of force elements. The signals of internal states are also part of `signals`,
-            but have no sensors. Empty, except in the copy of the type that belongs to a vehicle with such elements.
+            but have no sensors. The tuple is empty, except in the copy of the type that belongs to a vehicle whose force
+            elements have internal states.
         lacking: parameters that the type does not have although a user may expect them, as {beginning of the name: reason}.
     """
 
@@ -402,13 +409,15 @@ class VehicleKind(CheckedFields):
         return {one.name: one for one in (*self.signals, *self.on_demand, *velocities)}
 
     def with_wheel_loads(self, parameters: Parameters) -> "VehicleKind":
-        """Returns the vehicle type; its loads include loads on the wheels if a vehicle with these parameters has such loads."""
+        """Returns the vehicle type; its loads include wheel loads if a vehicle with the supplied parameters has loads on its
+        wheels.
+        """
         loads = tuple(dict.fromkeys((*self.loads, *self.wheel_loads(parameters))))
         return self if loads == self.loads else replace(self, loads=loads)
 
     @cached_property
     def unnamed(self) -> tuple[str, ...]:
-        """Names of the signals on demand that vehicles of this type do not have."""
+        """Names of the signals on demand that vehicles of the type do not have."""
         # A comparison of sets is fast; comparing the signals one by one would take longer than compiling a model
         known = set(self.signals)
         return tuple(signal.name for signal in self.on_demand if signal not in known)
@@ -416,8 +425,8 @@ class VehicleKind(CheckedFields):
     def at_wheels(self, parameters: Parameters) -> Parameters:
         """Returns the parameters with spring and damper rates at the wheel: k r^2 and c r^2, where r is the motion ratio.
 
-        If a ratio changes with travel, the preload of the spring also contributes to the stiffness at the wheel. In the result,
-        constant ratios are 1, and ratios from tables are omitted.
+        If a motion ratio changes with travel, the preload of the spring also contributes to the stiffness at the wheel. In the
+        returned parameters, constant motion ratios are 1, and motion ratios from tables are omitted.
         """
         given = [part for part in self.suspensions if part.ratio in parameters]
         parts = [part for part in given if parameters[part.ratio] != 1 or part.ratio in self.ratios] if given else []
@@ -439,7 +448,8 @@ class VehicleKind(CheckedFields):
         return None if table is None or table.straight else table
 
     def _rates_of_preload(self, parameters: Parameters) -> dict[str, float]:
-        """Returns the contribution of preloads to the wheel rates of springs [N/m], by parameter.
+        """Returns the contribution of preloads to the wheel rates of springs [N/m]; the keys are the names of the stiffness
+        parameters.
 
         Preloads contribute only at suspensions whose motion ratio changes with travel.
 
@@ -466,7 +476,9 @@ class VehicleKind(CheckedFields):
         return {force: ratios.get(force, 1.0) for force in forces}
 
     def model(self, parameters: Parameters) -> LinearModel:
-        """Returns the linear model whose outputs are the signals of this vehicle type. The most recent models are cached."""
+        """Returns the linear model whose outputs are the signals of the vehicle type. Recently computed linear models are
+        cached.
+        """
         key, kept = tuple(parameters.items()), self._models
         if key not in kept:
             model = self.full_model(parameters).of(names_of(self.signals))
@@ -497,7 +509,7 @@ class VehicleKind(CheckedFields):
 
     @cached_property
     def suspensions(self) -> tuple[Suspension, ...]:
-        """All suspensions: those in `suspended` or, if it is None, one for each signal `suspension_deflection...`."""
+        """All suspensions: those in `suspended` or, if `suspended` is None, one for each signal `suspension_deflection...`."""
         if self.suspended is not None:
             return tuple(self.suspended)
         names, suspensions = names_of(self.signals), []
@@ -517,11 +529,12 @@ class VehicleKind(CheckedFields):
         return tuple(suspensions)
 
     def of_corner(self, parameter: str, ending: str) -> str:
-        """Returns the name of a parameter for a corner, for its axle, or for the whole vehicle; empty if it does not exist.
+        """Returns the name of a parameter for a corner, for its axle, or for the whole vehicle; empty if the parameter does not
+        exist.
 
         Args:
             parameter: name of the parameter without a suffix.
-            ending: suffix of the corner.
+            ending: suffix of the parameter names at the corner.
         """
         names = {known.name for known in self.parameters}
         while ending and f"{parameter}{ending}" not in names:
@@ -529,11 +542,11 @@ class VehicleKind(CheckedFields):
         return f"{parameter}{ending}" if f"{parameter}{ending}" in names else ""
 
     def invariants_of(self, parameters: Parameters) -> tuple[Invariant, ...]:
-        """Returns the invariants of the vehicle type for these parameters; empty if a tyre has damping.
+        """Returns the invariants of the vehicle type for the supplied parameters; empty if a tyre has damping.
 
         For a wheel with the mass m_u on a tyre with the stiffness k and no damping, m_u s^2 + k = 0 at one frequency. At the
-        frequency with m_u s^2 + k = 0, the suspension force does not change the transmissibility. With the tyre damping c, m_u
-        s^2 + c s + k is not zero at any frequency.
+        frequency of the wheel mass m_u on the tyre stiffness k, the suspension force does not change the transmissibility. With
+        the tyre damping c, m_u s^2 + c s + k is not zero at any frequency.
         """
         return () if self.damped_tyres(parameters) else self.invariants
 
@@ -558,7 +571,7 @@ class VehicleKind(CheckedFields):
 
     @property
     def mjcf(self) -> Path:
-        """Path of the MJCF of the vehicle type."""
+        """Path of the vehicle type's MJCF file."""
         return self.folder / f"{self.name}.xml"
 
     def check_each(self, parameters: Mapping[str, Any]) -> dict[str, float]:
@@ -586,8 +599,8 @@ class VehicleKind(CheckedFields):
         """Returns all parameters in the order of the vehicle type, after checking each parameter and their combination.
 
         Raises:
-            InputError: `check_each` raises this error, or the combination is not a valid vehicle. The error is also raised if a
-                tyre is fully compressed, or has no contact with the road, in equilibrium.
+            InputError: `check_each` raises an InputError, or the combination of the parameters is not a valid vehicle.
+                InputError is also raised if, in equilibrium, a tyre is fully compressed or has no contact with the road.
         """
         checked = self.check_each(parameters)
         at_wheels = self.at_wheels(checked)
@@ -610,7 +623,7 @@ class VehicleKind(CheckedFields):
         return checked
 
     def ride_points(self, model: LinearModel) -> RidePoints:
-        """Returns the points at which the ride is measured, for a vehicle with this linear model.
+        """Returns the points at which the ride is measured, for a vehicle with the supplied linear model.
 
         A mass counts as above the body if no force that acts on a wheel also acts directly on this mass.
         """
@@ -624,7 +637,7 @@ class VehicleKind(CheckedFields):
         return RidePoints(people, tuple(name for name in names if name not in people), self.people is not None)
 
     def signal(self, name: str) -> Signal:
-        """Returns the signal with a name. The vehicle type must have this signal."""
+        """Returns the signal with the name `name`. The vehicle type must have a signal with this name."""
         return next(signal for signal in self.signals if signal.name == name)
 
 

@@ -2,15 +2,17 @@
 
     x' = A x + B u + Bw w + Br z_r + Bl f,     signals = C x + D u + Dw w + Cr z_r + Dl f,
 
-with the road heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/loads/`). Br and
-Cr are zero in the paper, and for every body that can follow all motions of the wheels. If Br and Cr are zero, only the road
-velocity acts on the vehicle. For a vehicle with four wheels, the warp of the road acts as a displacement.
+with the road heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/loads/`). The
+matrices Br and Cr are zero in the paper, and for every body that can follow all motions of the wheels. If the matrices Br and
+Cr are zero, only the road velocity acts on the vehicle. For a vehicle with four wheels, the warp of the road acts as a
+displacement.
 
-The road velocity acts in two ways: Bw = J + Bt. The matrix J describes how the road velocity changes deflections directly,
-independently of all forces. The matrix Bt describes how the road velocity pushes the wheels through tyres with damping. The
-matrix Dw describes the direct effect of the road velocity on accelerations. With tyre damping, a vertical edge of the road is
-an impulse on the wheel. If the road height is constant within each time step, it jumps between two steps, and the deflections
-change by J times this jump. Within a step, the step's mean road velocity pushes the wheels through the damping of the tyres.
+The road velocity acts in two ways, so its matrix is a sum: Bw = J + Bt. The matrix J describes how the road velocity changes
+deflections directly, independently of all forces. The matrix Bt describes how the road velocity pushes the wheels through tyres
+that have damping. The matrix Dw describes the direct effect of the road velocity on accelerations. With tyre damping, a
+vertical edge of the road is an impulse on the wheel. If the road height is constant within each time step, it jumps between two
+steps, and the deflections change by J times this jump. Within a step, the mean road velocity of the step pushes the wheels
+through the damping of the tyres.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -53,14 +55,15 @@ class LinearModel:
         outputs: names of the p output signals.
         Br: gain from the road heights to x', shape (n, r).
         Cr: gain from the road heights to the output signals, shape (p, r).
-        twist_rate: factor [rad/s] that converts road warp to the road velocity with the same weight in a controller design.
+        twist_rate: factor [rad/s] that converts road warp to an equivalent road velocity, which has the same weight in a
+            controller design.
         loads: names of the l loads on the body [N, N m].
         Bl: gain from the loads to x', shape (n, l); zero by default.
         Dl: gain from the loads to the output signals, shape (p, l); zero by default.
         Bt: part of Bw that acts through the damping of tyres, shape (n, r); zero by default.
         Dw: gain from the road velocities to the output signals, shape (p, r); zero by default.
-        heights: names of output signals that are heights above a flat datum. The state contains only deflections, so such
-            heights depend on the state and, through Cr, on the road heights.
+        heights: names of output signals that are heights above a flat datum. The state contains only deflections, so heights
+            above a datum depend on the state and, through Cr, on the road heights.
 
     Raises:
         InputError: a matrix does not fit the names or is not finite, or the names are not distinct texts.
@@ -113,8 +116,8 @@ class LinearModel:
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
 
     def over_datum(self, signals: Collection[str]) -> list[str]:
-        """Returns those of the given signals that are heights above a flat datum. Only a control law for a theoretical study
-        may measure such heights.
+        """Returns those of the supplied signals that are heights above a flat datum. Only a control law for a theoretical study
+        may measure heights above a flat datum.
         """
         return [name for name in self.heights if name in signals]
 
@@ -127,25 +130,29 @@ class LinearModel:
     def jump(self) -> Array:
         """Matrix J: the direct effect of the road height on the states, shape (n, r).
 
-        If a held road height changes suddenly, x - J z_r is continuous.
+        If the road height is held constant during a time step and then jumps, the combination x - J z_r of state and road
+        height is continuous.
         """
         return self.Bw - self.Bt if self.tyres_damp else self.Bw
 
     @property
     def Bh(self) -> Array:
-        """Effect on x' of the quantities that are held over a time step: loads and, if tyres have damping, road velocities.
+        """Effect on x' of the quantities that are held constant during a time step: loads and, if tyres have damping, road
+        velocities.
 
-        The shape is (n, l), or (n, l + r) with tyre damping.
+        The matrix has the shape (n, l), or (n, l + r) with tyre damping.
         """
         return np.hstack([self.Bl, self.Bt]) if self.tyres_damp else self.Bl
 
     @property
     def Dh(self) -> Array:
-        """Effect on the output signals of the quantities that are held over a time step, shape (p, l) or (p, l + r); see `Bh`."""
+        """Effect on the output signals of the quantities that are held constant during a time step, shape (p, l) or (p, l + r);
+        see `Bh`.
+        """
         return np.hstack([self.Dl, self.Dw]) if self.tyres_damp else self.Dl
 
     def of(self, outputs: Collection[str]) -> "LinearModel":
-        """Returns the model with only the selected output signals, in the order of this model."""
+        """Returns the model with only the selected output signals, in the same order as in this model."""
         chosen = [name in outputs for name in self.outputs]
         names = tuple(compress(self.outputs, chosen))
         rows = {name: getattr(self, name)[chosen] for name in OF_OUTPUTS}
@@ -160,10 +167,10 @@ class LinearModel:
         return not (np.any(self.D[i]) or np.any(self.C[i] @ self.Bw + self.Cr[i]))
 
     def with_rates(self, rates: Mapping[str, str]) -> "LinearModel":
-        """Returns the model with time derivatives of output signals as additional outputs.
+        """Returns the model in which time derivatives of output signals are additional outputs.
 
         Args:
-            rates: signal to differentiate, by the name of the derivative.
+            rates: names of the signals to differentiate; the keys are the names of the derivatives.
         """
         if not rates:
             return self
@@ -180,11 +187,11 @@ class LinearModel:
         return extended
 
     def with_integrals(self, integrals: Mapping[str, Mapping[str, float]]) -> "LinearModel":
-        """Returns the model with integrals of sums of output signals as additional states and outputs.
+        """Returns the model in which integrals of sums of output signals are additional states and outputs.
 
         Args:
-            integrals: factors of the signals in the sum that is integrated, by the name of the integral. The sums must not
-                depend on the road height.
+            integrals: factors of the signals in the sum that is integrated; the keys are the names of the integrals. The sums
+                must not depend on the road height.
         """
         if not integrals:
             return self
@@ -194,13 +201,13 @@ class LinearModel:
         return self.with_states(tuple(integrals), mix @ self.C, of_sums)
 
     def with_states(self, names: tuple[str, ...], rates: Array, more: Mapping[str, Array] | None = None) -> "LinearModel":
-        """Returns the model with k additional states, each of which is also an output with the same name.
+        """Returns the model with k additional states, each of which is also an output with the same name as the state.
 
         Args:
             names: names of the additional states.
-            rates: gains from the states to the rates of the additional states. The shape is (k, n) for gains from the n states
-                of this model, or (k, n + k) if the additional states have gains, too.
-            more: rows of B, Bw, Bt, Br and Bl for the additional states; zero by default.
+            rates: gains from the states to the rates of the additional states. The matrix has the shape (k, n) for gains from
+                the n states of this model, or (k, n + k) with gains from the additional states.
+            more: additional rows of B, Bw, Bt, Br and Bl for the additional states; zero by default.
         """
         k, n = len(names), len(self.A)
         return replace(
@@ -213,7 +220,8 @@ class LinearModel:
         )
 
     def with_lines(self, rows: Array, push: Array, shown: Array, stiffness: Array, damping: Array) -> "LinearModel":
-        """Returns the model with additional springs and dampers along e lengths d, whose forces are f = k d + c d'.
+        """Returns the model with additional springs and dampers along e lengths d of the vehicle, whose forces are f = k d + c
+        d'.
 
         Args:
             rows: gains from the states to the lengths, shape (e, n). Neither the road nor a force may act directly on the
@@ -227,10 +235,10 @@ class LinearModel:
         return replace(self, A=self.A + push @ force, C=self.C + shown @ force)
 
     def with_inertance(self, speeds: Array, push: Array, shown: Array, inertance: Array) -> "LinearModel":
-        """Returns the model with additional inerters along e lengths d, whose forces are f = b d''.
+        """Returns the model with additional inerters along e lengths d of the vehicle, whose forces are f = b d''.
 
-        Let the lengths have the rates d' = S x, and let E be the effect of forces along the lengths. Then the inerters give the
-        force p = b S (x' + E p) = (1 - b S E)^-1 b S x', where x' is the rate without inerters.
+        Let the lengths have the rates d' = S x, and let E be the effect on x' of forces along the lengths. Then the inerters
+        give the force p = b S (x' + E p) = (1 - b S E)^-1 b S x', where x' is the rate without inerters.
 
         Args:
             speeds: matrix S of gains from the states to the rates of the lengths, shape (e, n).
@@ -252,7 +260,7 @@ class LinearModel:
     def geared(self, ratios: Array) -> "LinearModel":
         """Returns the model in which every input is multiplied by its motion ratio, shape (m,), before it acts on the vehicle.
 
-        Output signals that are control forces are not multiplied.
+        Outputs that are control forces are not multiplied by a motion ratio.
         """
         if np.all(ratios == 1):
             return self
@@ -286,7 +294,7 @@ class LinearModel:
         """Returns the rows of C and D for k output signals, shapes (k, n) and (k, m).
 
         Raises:
-            InputError: the vehicle does not have one of these signals.
+            InputError: the vehicle does not have one of the requested signals.
         """
         for signal in signals:
             if signal not in self.outputs:

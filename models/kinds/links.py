@@ -1,42 +1,44 @@
 """Suspension links: they define the axes about which a body rotates, and carry a share of the loads instead of the springs.
 
-All heights are measured from the ground. If a car has roll centres, the body rolls about the axis through the front and rear
-roll centres. At the centre of mass, the roll axis has the height
+All heights in this file are measured from the ground. If a car has roll centres, the body rolls about the axis through the
+front and rear roll centres. At the longitudinal position of the centre of mass, the roll axis has the height
 
     h_r = (h_front l_rear + h_rear l_front) / L,     b = h - h_r     (l: distances of the axles from the centre of mass, L:
     their sum).
 
-The moment of inertia of the body about this axis is I_x + m_s b^2. At the roll angle phi, the centre of mass is displaced by b
-phi to the side, so the weight has the moment m_s g b phi. In steady-state cornering, on rigid tyres or with roll centres on the
-ground,
+The moment of inertia of the body about the roll axis is I_x + m_s b^2. At the roll angle phi, the centre of mass is displaced
+by b phi to the side, so the weight has the moment m_s g b phi. In steady-state cornering, on rigid tyres or with roll centres
+on the ground,
 
     phi = m_s a b / (K - m_s g b)
 
-with the roll stiffness K of springs, bars and tyres (T. D. Gillespie, Fundamentals of Vehicle Dynamics, ch. 6; W. F. and D. L.
-Milliken, Race Car Vehicle Dynamics, ch. 18). In the same way, if there is a pitch centre, the body pitches about an axis at the
-height of the pitch centre. The roll axis and the pitch axis are horizontal and do not move relative to the ground. No tyre
-slips sideways, and tyres deflect only vertically. The links guide every wheel, so the deflection of a suspension is z - x theta
-+ y phi - z_u at any angle.
+where K is the roll stiffness of springs, bars and tyres (T. D. Gillespie, Fundamentals of Vehicle Dynamics, ch. 6; W. F. and D.
+L. Milliken, Race Car Vehicle Dynamics, ch. 18). If there is a pitch centre, the body pitches about an axis at the height of the
+pitch centre. The roll axis and the pitch axis are assumed to be horizontal and do not move relative to the ground. Tyres are
+assumed not to slip sideways, and to deflect only vertically. The links guide every wheel, so the deflection of a suspension is
+z - x theta + y phi - z_u at any pitch and roll angle.
 
-Links transmit a horizontal force F on the body to the tyres. Each axle takes a share s of a lateral force: the distance of the
-other axle from the centre of mass, divided by the wheelbase L. Through the links, a lateral force F increases the load on the
-outer wheel of the axle by s F h_axle / track. Here h_axle is the height of the axle's roll centre. A longitudinal force F at
-the height h transfers the load F h / L between the axles. The parameter `anti_...` of an axle is the share of the axle's load
-transfer that the links carry. The front axle has the share b_f of the braking force. Let beta be the slope angle, in side view,
-of a line from the wheel to the instant centre. Then (Gillespie, ch. 7; Milliken, ch. 17), for rear-wheel drive,
+Links transmit a horizontal force F on the body to the tyres. The share s of a lateral force that an axle carries is the
+distance of the other axle from the centre of mass, divided by the wheelbase L. Through the links, a lateral force F increases
+the load on the outer wheel of the axle by s F h_axle / track. The height of the axle's roll centre is h_axle. A longitudinal
+force F at the height h transfers the load F h / L between the axles. The parameter `anti_...` of an axle is the share of the
+axle's load transfer that the links carry. The front axle has the share b_f of the braking force. Let beta be the slope angle,
+in side view, of a line from the wheel to the instant centre. Then (Gillespie, ch. 7; Milliken, ch. 17), for a vehicle with
+rear-wheel drive,
 
     anti_dive_front = b_f tan(beta) L / h
     anti_lift_rear = (1 - b_f) tan(beta) L / h
     anti_squat_rear = tan(beta) L / h
 
-The line begins at the tyre contact point if the links react the wheel torque. Examples are brakes at the wheel and a driven
-solid axle. The line begins at the wheel centre if the body reacts the torque. Examples are inboard brakes and a driven wheel
-with independent suspension. Vehicle files contain the shares themselves, so both cases are possible.
+The line of slope beta begins at the tyre contact point if the links react the wheel torque. Examples in which the links react
+the torque are brakes at the wheel and a driven solid axle. The line of slope beta begins at the wheel centre if the body reacts
+the torque. Examples in which the body reacts the torque are inboard brakes and a driven wheel with independent suspension.
+Vehicle files contain the shares of the load transfer themselves, so both positions of the line are possible.
 
 A link that carries load pushes the body at its axle, and the wheels of this axle in the opposite direction. The inertial force
 of the wheels does not act on the body. The inertial force of the wheels acts at the height of the wheel centres, so it exerts a
-moment on the tyres. In cornering, this moment of the inertial force acts on the axle of these wheels; in braking, on both axles
-together.
+moment on the tyres. In cornering, the moment of the wheels' inertial force acts on the axle of these wheels; in braking, on
+both axles together.
 
 A half-car in the roll plane has a single axle. The body of a half-car in the roll plane rolls about its roll centre, and the
 links carry the whole lateral force.
@@ -82,7 +84,7 @@ LENGTHWAYS = (
 def arms(p: Parameters) -> tuple[float | None, float | None]:
     """Returns the heights of the centre of mass above the pitch axis and above the roll axis [m].
 
-    A height is None if the vehicle file does not define the axis.
+    A height is None if the vehicle file does not define the axis from which the height is measured.
     """
     pitch = p["centre_height"] - p[PITCH_CENTRE.name] if PITCH_CENTRE.name in p else None
     if ROLL_CENTRE.name in p:
@@ -100,7 +102,8 @@ def wheel_loads(p: Parameters, corners: Sequence[str]) -> tuple[BodyLoad, ...]:
 
 
 def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float, acceleration: float) -> dict[str, float]:
-    """Returns the loads [N, N m] that links and wheel inertia cause in addition to the moment of a force on the body, by name.
+    """Returns the loads [N, N m], by name of the load, that links and wheel inertia cause in addition to the moment of a force
+    on the body.
 
     Args:
         p: parameters of the vehicle.
@@ -134,7 +137,9 @@ def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float,
 
 
 def _across(p: Parameters, force: float, acceleration: float) -> dict[str, float]:
-    """Returns the result of `carried_loads` for two wheels in the same cross-section, whose links carry the whole force."""
+    """Returns the same loads as `carried_loads`, for two wheels in one cross-section of the vehicle, whose links carry the
+    whole force.
+    """
     moment = force * p.get(ROLL_CENTRE.name, 0.0)
     own = sum(p[f"unsprung_mass_{side}"] for side in SIDES) * acceleration * p.get(WHEEL_CENTRE.name, 0.0)
     gained = (moment + own) / track("", p)
@@ -142,7 +147,7 @@ def _across(p: Parameters, force: float, acceleration: float) -> dict[str, float
 
 
 def track(axle: str, p: Parameters) -> float:
-    """Returns the track width of an axle [m], from `track_AXLE` or, if this is not given, from `track`.
+    """Returns the track width of an axle [m], from `track_AXLE` or, if `track_AXLE` is not given, from `track`.
 
     Raises:
         InputError: neither `track_AXLE` nor `track` is given.
@@ -153,7 +158,8 @@ def track(axle: str, p: Parameters) -> float:
 
 
 def left_out(p: Parameters, angles: Collection[str]) -> str:
-    """Returns a sentence that describes moments of the body's weight that the model neglects; empty if there are none.
+    """Returns a sentence that describes moments of the body's weight that the model neglects; empty if the model neglects no
+    moments.
 
     Args:
         p: parameters of the vehicle.

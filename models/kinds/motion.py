@@ -22,7 +22,7 @@ class Motion(Protocol):
         """Returns the states of the equations, shape (T, n).
 
         Args:
-            signals: signals of `names`, each of shape (T,).
+            signals: values of the signals in `names`, each of shape (T,).
             heights: road heights under the wheels [m], shape (T, r).
         """
         ...
@@ -32,7 +32,7 @@ class Motion(Protocol):
         ...
 
     def read(self, state: Array, heights: Array) -> Array:
-        """Returns the signals of `names` for given states, shape (T, p)."""
+        """Returns the signals of `names` for the supplied states, shape (T, p)."""
         ...
 
     def rate(self, state: Array, heights: Array, inputs: Array, pulls: Pulls, loads: Array) -> Array:
@@ -43,31 +43,32 @@ class Motion(Protocol):
             heights: road heights under the wheels [m], shape (T, r).
             inputs: forces at the wheels [N], shape (T, m).
             pulls: function that returns the suspension forces other than those of linear springs and dampers [N].
-            loads: loads on the body [N, N m], shape (T, l). If tyres have damping, further columns contain the road velocities
-                [m/s], shape (T, l + r).
+            loads: loads on the body [N, N m], shape (T, l). If tyres have damping, further columns of `loads` contain the road
+                velocities [m/s], shape (T, l + r).
         """
         ...
 
     def outputs(self, state: Array, heights: Array, inputs: Array, pulls: Pulls, loads: Array) -> Mapping[str, Array]:
         """Returns the signals that are not in `names`, such as accelerations, by name, each of shape (T,).
 
-        Inputs, and signals that are sums of other signals, are omitted. For the arguments, see `rate`.
+        Inputs, and signals that are sums of other signals, are not returned. For the arguments, see `rate`.
         """
         ...
 
 
 class StoredEnergy(Protocol):
     """Energy that is stored in a vehicle, computed from the equations of motion. The `Motion` of a custom vehicle type may omit
-    the members of this class.
+    the members of the class `StoredEnergy`.
     """
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Returns the n / 2 joints of the MJCF whose positions, followed by their velocities, are the state."""
+        """Returns the n / 2 joints of the MJCF; their positions, followed by their velocities, are the state."""
         ...
 
     def energy(self, state: Array, heights: Array) -> Array:
-        """Returns potential and kinetic energy, without the energy of nonlinear suspension forces [J], shape (T, 2).
+        """Returns the potential and the kinetic energy of the vehicle, without the energy of nonlinear suspension forces [J],
+        shape (T, 2).
 
         For the arguments, see `Motion.read`. The potential energy is relative to an arbitrary but fixed state.
         """

@@ -1,4 +1,4 @@
-"""Rules that find implausible numbers of vehicles and roads, which probably have the wrong unit or are swapped.
+"""Rules that find implausible quantities of vehicles and roads, which probably have the wrong unit or are swapped.
 
 If the usual values of a quantity differ between trucks, bicycles and model-scale test benches, its limit depends on other
 quantities of the vehicle. `models.parts.plausibility` contains the warnings about characteristics.
@@ -28,7 +28,7 @@ class KnownQuantity(NamedTuple):
 
     @property
     def rough(self) -> str:
-        """Text of the value, rounded to a few digits."""
+        """Text of the quantity's value, rounded to a few digits."""
         return about(self.value) if self.value < 100 else str(round(self.value))
 
 
@@ -37,12 +37,12 @@ class Rule:
     """Rule that warns about improbable quantities of a vehicle or road.
 
     Attributes:
-        of: names of the quantities that the rule compares. The rule applies at a place of the vehicle where all these
-            quantities are known.
-        odd: function of the values that returns True if the values are improbable.
+        of: names of the quantities that the rule compares. The rule applies at a place of the vehicle if all quantities in `of`
+            are known there.
+        odd: function of the quantities' values that returns True if the values are improbable.
         words: text of the warning, with the names of the quantities in braces.
-        rank: priority of the rule, 1 for the highest; a rule with rank 0 always applies. A rule gives no warning if a rule with
-            a lower rank, other than 0, already gives one.
+        rank: priority of the rule, 1 for the highest; a rule with rank 0 always applies. A rule gives no warning if another
+            rule, whose rank is smaller but not 0, has already given a warning.
     """
 
     of: str
@@ -102,7 +102,8 @@ def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
     """Returns a warning for each rule that finds improbable quantities, about the first place at which they are found.
 
     Args:
-        places: known quantities at each place of the vehicle, such as a suspension or sensor, by the names in the rules.
+        places: known quantities at each place of the vehicle, such as a suspension or sensor; the keys are the names in the
+            rules.
     """
     places, said, first = list(places), list[str](), 9
     for rule, names in zip(RULES, NAMES, strict=True):
@@ -121,10 +122,11 @@ CORNER = {  # quantities of a suspension: how the name of the parameter begins, 
 
 
 def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
-    """Yields the quantities of a vehicle, place by place, by the names that `RULES` uses.
+    """Yields the quantities of a vehicle at one place after another; the keys are the names that `RULES` uses.
 
-    The first place is the body. For the body, the springs and dampers of all corners are added, so its frequency and damping
-    ratio are approximate. Dampers with a characteristic are omitted here; `suspension_doubts` checks them.
+    The first place of the vehicle is the body. For the body, the springs and dampers of all corners are added, so its frequency
+    and damping ratio are approximate. Dampers with a characteristic in `[curves]` are omitted; `suspension_doubts` checks these
+    dampers.
 
     Args:
         vehicle: `Vehicle` whose quantities are returned.
@@ -175,13 +177,13 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
 
 
 def _of_elements(vehicle: Any, deflection: str) -> tuple[float, float]:
-    """Returns the linearised stiffness [N/m] and damping [N s/m] of the elements of `[parts]` at a suspension."""
+    """Returns the linearised stiffness [N/m] and damping [N s/m] of the elements of `[parts]` that act at a suspension."""
     lines = [one.added_line for one in vehicle.parts if one.element and one.deflection == deflection] if vehicle.elements else []
     return sum(float(line.stiffness) for line in lines), sum(float(line.damping) for line in lines)
 
 
 def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> dict[str, KnownQuantity]:
-    """Returns the quantities at a suspension. `p` contains the parameters at the wheel that are not 0."""
+    """Returns the quantities at a suspension. The mapping `p` contains the parameters at the wheel that are not 0."""
     kind, damper, strokes = vehicle.kind, vehicle.dampers.get(part.force), vehicle.parts.strokes.get(part.deflection, {})
     r, load = part.motion_ratio(vehicle.parameters), kind.static_loads(vehicle.parameters).get(part.deflection, 0.0)
     names = {of: kind.of_corner(start, part.ending) for of, (start, _) in CORNER.items()}
@@ -208,7 +210,9 @@ def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> 
 
 
 def _known_quantities(**quantities: tuple[str, float | None, str]) -> dict[str, KnownQuantity]:
-    """Returns the quantities by name, except those whose value is None or 0. An argument contains name, value and unit."""
+    """Returns the quantities by name, without those whose value is None or 0. Each argument contains the name, value and unit
+    of a quantity.
+    """
     return {of: KnownQuantity(name, value, unit) for of, (name, value, unit) in quantities.items() if value}
 
 

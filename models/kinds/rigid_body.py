@@ -1,4 +1,5 @@
-"""Rigid body on several corners: the equations that half-cars and full cars have in common. A half-car lacks pitch or roll.
+"""Rigid body on several corners: the equations that half-cars and full cars have in common. A half-car has no pitch mode or no
+roll mode.
 
 The axes are defined as in ISO 8855: x forward, y to the left, z up. Pitch is positive if the nose moves down, and roll is
 positive if the right side moves down. The modes of the body are heave z, pitch theta and roll phi, q = (z, theta, phi), which
@@ -12,29 +13,29 @@ where d and t are the deflections of suspensions and tyres, and l contains the l
 consists of relative displacements and velocities: x = (d, P t, q', z_u').
 
 An anti-roll bar is a torsion spring between body and axle. The angle of the bar is the roll angle of the body relative to the
-axle, a = (d_left - d_right) / track. The moment k a of the bar acts as a pair of forces at the two wheels. Without anti-roll
-bars, K_s is diagonal. Each bar adds k (e_l - e_r)(e_l - e_r)' / track^2, where e_l and e_r are the unit vectors of its two
-corners.
+axle, a = (d_left - d_right) / track. The moment k a of the bar with stiffness k acts as a pair of forces at the two wheels.
+Without anti-roll bars, the suspension stiffness matrix K_s is diagonal. Each bar adds k (e_l - e_r)(e_l - e_r)' / track^2 to
+K_s, where e_l and e_r are the unit vectors of its two corners.
 
 A rigid body cannot follow every motion of four wheels. Let n be the warp motion that a rigid body cannot follow (n' S = 0).
 Then n' (d + t + z_r) = 0 at all times, so not only the velocity but also the displacement of the road's warp acts on the
-vehicle. The state therefore contains only the modes P t of the tyre deflections that a rigid body can follow. The equations
-then contain additional terms for the warp of the road:
+vehicle. The state therefore contains only the modes P t of the tyre deflections that a rigid body can follow. The equations of
+motion then contain additional terms for the warp of the road:
 
     t = E (P t) - N (d + z_r),     N = e n',     [E e] = [P; n]^-1.
 
-If P n = 0, as for axles of equal track width, then E = P+ and N = n n' / n'n.
+If P n = 0, as for axles of equal track width, then the matrices of the warp terms are E = P+ and N = n n' / n'n.
 
 Every wheel slides vertically. The struts are upright in equilibrium, and their upper ends are at the height of the centre of
-mass. Because of this geometry, the preloads have no effect in the linear model. The MuJoCo model (MJCF) differs from the linear
-model by terms that are quadratic in the amplitude.
+mass. Because the struts are upright and end at the height of the centre of mass, the preloads have no effect in the linear
+model. The MuJoCo model (MJCF) differs from the linear model by terms that are quadratic in the amplitude.
 
 If suspension links define a roll or pitch axis (`links.py`), the body rotates about this axis, which is b below the centre of
-mass. The rotation about this axis adds m_s b^2 to M, and a moment W q of the weight, where the entry of W for each angle is m_s
-g b. The angles are relative to level ground, q = S+ (d + t + z_r). On a banked road, the body leans. If links define an axis,
-the road height therefore also acts on the vehicle. In the MJCF, the hinges lie on the axes, and the suspensions are fixed
-tendons. Vertical struts instead of fixed tendons would lean when the body sways, and their preload would rotate the body
-further.
+mass. The rotation about an axis that is b below the centre of mass adds m_s b^2 to the mass matrix M. The rotation also adds a
+moment W q of the weight, where the entry of W for each angle is m_s g b. The body's angles in q are relative to level ground: q
+= S+ (d + t + z_r). On a banked road, the body leans. If links define an axis of rotation, the road height therefore also acts
+on the vehicle. In the MJCF, the hinges lie on the axes that the links define, and the suspensions are fixed tendons. Vertical
+struts instead of fixed tendons would lean when the body sways, and their preload would rotate the body further.
 """
 
 from collections.abc import Sequence
@@ -81,8 +82,8 @@ def per_axle(
     places: Sequence[str] = AXLES,
     **options: Any,
 ) -> tuple[Parameter, ...]:
-    """Returns one parameter for each place; the default places are the two axles. `options` are further arguments of
-    `Parameter`.
+    """Returns one parameter for each place, such as an axle or a side; the default places are the two axles. `options` are
+    further arguments of `Parameter`.
     """
     return tuple(Parameter(f"{name}_{place}", unit, f"{meaning}, {place}", positive, **options) for place in places)
 
@@ -101,12 +102,12 @@ def of_half_car(places: Sequence[str]) -> tuple[Parameter, ...]:
 
 @dataclass(frozen=True)
 class Corner:
-    """Wheel with its suspension.
+    """Wheel of the vehicle with its suspension.
 
     Attributes:
-        name: suffix of the signals, and of the MJCF elements, at this corner.
-        x: forward position relative to the centre of mass [m].
-        y: position to the left of the centre of mass [m].
+        name: suffix of the names of signals and MJCF elements at the wheel's corner.
+        x: forward position of the wheel relative to the centre of mass [m].
+        y: position of the wheel to the left of the centre of mass [m].
         unsprung_mass: mass of wheel, hub and brake [kg].
         suspension_stiffness: stiffness of the spring [N/m].
         suspension_damping: damping coefficient of the damper [N s/m].
@@ -130,7 +131,7 @@ class Corner:
         Args:
             p: parameters of the vehicle.
             name: name of the corner.
-            place: axle or side whose parameters the corner has.
+            place: axle or side whose parameters apply to the corner.
             y: position to the left of the centre of mass [m].
         """
         x = {"front": 1.0, "rear": -1.0}.get(place, 0.0) * p.get(f"axle_distance_{place}", 0.0)
@@ -147,7 +148,7 @@ class Bar:
         name: suffix of the bar's tendon in the MJCF.
         left: index of the left corner.
         right: index of the right corner.
-        stiffness: moment per roll angle of the body relative to the axle [N m/rad].
+        stiffness: moment of the bar per roll angle of the body relative to the axle [N m/rad].
     """
 
     name: str
@@ -161,7 +162,7 @@ class RigidBody:
     """Rigid body on c corners.
 
     Attributes:
-        corners: c wheels with their suspensions, in the order of the signals.
+        corners: c wheels with their suspensions, in the same order as in the signals.
         mass: sprung mass [kg].
         pitch_inertia: moment of inertia about the lateral axis through the centre of mass [kg m2]; None for a body that does
             not pitch.
@@ -169,8 +170,8 @@ class RigidBody:
         tyre_modes: matrix P, whose rows are the modes of the tyre deflections in the state, shape (p, c).
         twist: vector n, the warp motion with n' S = 0, shape (c,); zero if the body can follow every motion of the wheels.
         bars: anti-roll bars of the body.
-        pitch_arm: height of the centre of mass above the pitch axis that links define [m]. None if links do not define a pitch
-            axis; the body then pitches about its centre of mass, and its weight has no moment.
+        pitch_arm: height of the centre of mass above the pitch axis that links define [m]. The height is None if links do not
+            define a pitch axis. The body then pitches about its centre of mass, and its weight has no moment.
         roll_arm: height of the centre of mass above the roll axis [m]; None if links do not define a roll axis.
         wheel_loads: loads on the wheels due to suspension links and wheel inertia.
         seat_mass: mass on a seat above the body, not included in `mass` [kg].
@@ -208,20 +209,20 @@ class RigidBody:
         return np.array([0.0, self.pitch_arm or 0.0, self.roll_arm or 0.0])[list(self.modes)]
 
     def arms(self, bar: Bar) -> Array:
-        """Returns the angle of a bar per deflection of each suspension [rad/m], shape (c,)."""
+        """Returns the angle of an anti-roll bar per deflection of each suspension [rad/m], shape (c,)."""
         arms = np.zeros(len(self.corners))
         arms[[bar.left, bar.right]] = np.array([1.0, -1.0]) / (self.corners[bar.left].y - self.corners[bar.right].y)
         return arms
 
     @property
     def stiffness(self) -> Array:
-        """K_s: force of each suspension (row) per deflection of each suspension (column) [N/m], shape (c, c)."""
+        """K_s: matrix of the force of each suspension (row) per deflection of each suspension (column) [N/m], shape (c, c)."""
         bars = [bar.stiffness * np.outer(self.arms(bar), self.arms(bar)) for bar in self.bars]
         return sum(bars, np.diag([corner.suspension_stiffness for corner in self.corners]))
 
     @property
     def shape(self) -> Array:
-        """S: height of the body above each corner (row) per mode (column), shape (c, k)."""
+        """S: matrix of the height of the body above each corner (row) per mode (column), shape (c, k)."""
         x, y = np.array([[corner.x, corner.y] for corner in self.corners]).T
         columns = (np.ones(len(x)), -x, y)
         return np.stack(list(map(columns.__getitem__, self.modes)), axis=-1)
@@ -234,7 +235,7 @@ class RigidBody:
 
     @property
     def weight(self) -> Array:
-        """W: moment of the weight per angle, shape (k, k)."""
+        """W: matrix of the moment of the weight per angle of the body, shape (k, k)."""
         return np.diag((self.mass + self.seat_mass) * GRAVITY * self.axis_offsets)
 
     def static_loads(self) -> Array:
@@ -245,7 +246,7 @@ class RigidBody:
         return np.linalg.pinv(self.shape.T) @ weight
 
     def static_tyre_deflection(self) -> dict[str, float]:
-        """Returns the compression of each tyre in equilibrium [m], by tyre deflection signal."""
+        """Returns the compression of each tyre in equilibrium [m]; the keys are the tyre deflection signals."""
         loads = zip(self.corners, self.static_loads(), strict=True)
         return {
             f"tyre_deflection_{corner.name}": float(load + corner.unsprung_mass * GRAVITY) / corner.tyre_stiffness
@@ -263,9 +264,10 @@ def linear_model(
         states: signals of the state (d, P t, q', z_u'), in total c + p + k + c signals.
         inputs: signals of the c control forces.
         disturbances: signals of the c road velocities.
-        outputs: output signals. The first signals are the states, the other tyre deflections, q'', and the velocities and
-            accelerations of the body above each corner. The next are the control forces and the wheel accelerations. The last
-            are the heights of the body, of its points above each corner, and of the wheels.
+        outputs: output signals. The first output signals are the states, the other tyre deflections, q'', and the velocities
+            and accelerations of the body above each corner. The next output signals are the control forces and the wheel
+            accelerations. The last output signals are the heights of the body, of its points above each corner, and of the
+            wheels.
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
     c, k, p = len(S), len(M), len(P)
@@ -342,7 +344,7 @@ def linear_model(
 
 
 def angles(body: RigidBody) -> dict[str, dict[str, float]]:
-    """Returns the body's angles [rad] as sums of signals: q = S+ (d + t + z_r), from the heights above the corners."""
+    """Returns the body's angles [rad] as sums of signals, computed from the heights above the corners: q = S+ (d + t + z_r)."""
     q, names = np.linalg.pinv(body.shape), [corner.name for corner in body.corners]
     turns = [("", "pitch_angle", "roll_angle")[i] for i in body.modes[1:]]
     parts = [signal.name for signal in (SUSPENSION_DEFLECTION, TYRE_DEFLECTION, ROAD_DISPLACEMENT)]
@@ -361,7 +363,7 @@ def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) 
     """Raises an InputError if the radius of gyration that follows from a moment of inertia is larger than the body.
 
     Args:
-        name: name of the inertia's parameter.
+        name: name of the parameter that contains the moment of inertia.
         inertia: moment of inertia [kg m2].
         mass: mass of the body [kg].
         size: length of the body that limits the radius of gyration [m].
@@ -400,9 +402,9 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
     """Writes a body on corners into the MjSpec of its vehicle type: masses, positions, springs and preloads.
 
     The elements of each corner NAME are the bodies `road_NAME` and `unsprung_NAME`, the sites `suspension_NAME_bottom` and
-    `suspension_NAME_top`, and the tendons `suspension_NAME` and `tyre_NAME`. At qpos = 0, the preloads carry the weight, so
-    this position is the static equilibrium. An anti-roll bar is a fixed tendon `anti_roll_bar_NAME` whose length is the angle
-    of the joint `roll` relative to the axle. If links guide the wheels, the tendons `suspension_NAME` are also fixed tendons.
+    `suspension_NAME_top`, and the tendons `suspension_NAME` and `tyre_NAME`. At qpos = 0, which is the static equilibrium, the
+    preloads carry the weight. An anti-roll bar is a fixed tendon `anti_roll_bar_NAME` whose length is the angle of the joint
+    `roll` relative to the axle. If links guide the wheels, the tendons `suspension_NAME` are fixed tendons, too.
     """
     sprung = spec.body("sprung")
     sprung.mass = body.mass

@@ -1,10 +1,10 @@
 """Exact equations of motion of a rigid body on struts, for large pitch and roll angles.
 
-The linear equations are in `rigid_body`.
+The linear equations of motion are in the module `rigid_body`.
 
-The body moves vertically by z, then rotates by theta about the lateral axis, then by phi about its own longitudinal axis: R =
-R_y R_x. Strut i connects its hub with the point R (x_i, y_i, 0) of the body. The hub slides vertically at (x_i, y_i). If r_i is
-the vector from hub to body, L_i its length, and q = (z, theta, phi),
+The body moves vertically by z, then rotates by theta about the lateral axis, then by phi about its own longitudinal axis: the
+rotation matrix is R = R_y R_x. Strut i connects its hub with the point R (x_i, y_i, 0) of the body. The hub slides vertically
+at (x_i, y_i). If r_i is the vector from hub to body, L_i the length of this vector, and q = (z, theta, phi),
 
     d_i = L_i - L_0,     J_i = dL_i / dq,     e_i = r_i z / L_i,     p_i = p_0i - k_i d_i - c_i d_i' - (pulls) + u_i,
 
@@ -18,11 +18,11 @@ If links define a pitch axis at c below the centre of mass, and a roll axis at b
 
     (s sin theta, -b sin phi, z - c + s cos theta),     s = c - b (1 - cos phi).
 
-With j = m s^2 + I, the kinetic energy is
+With j = m s^2 + I, the kinetic energy of the body is
 
     (m z'^2 + j theta'^2 + (I_x + m b^2) phi'^2) / 2 - m (s sin theta theta' + b sin phi cos theta phi') z',
 
-and Lagrange's equations are
+and the resulting Lagrange's equations are
 
     m (z'' + g) - m s sin theta theta'' - m b sin phi cos theta phi'' = Q_z + (terms with products of rates),
     j theta'' - m s sin theta (z'' + g) = Q_theta - j' phi' theta',
@@ -31,8 +31,8 @@ and Lagrange's equations are
 Because the links guide every wheel, the deflection is d_i = z - x_i theta + y_i phi - z_u, and does not depend on the length of
 a strut.
 
-A point (x, y) of the body has the height z - x sin theta + y sin phi cos theta. The time derivatives of this height are its
-velocity and acceleration. Angular accelerations are measured about axes that are fixed to the road: theta'', and phi'' cos
+A point (x, y) of the body has the height z - x sin theta + y sin phi cos theta. The time derivatives of the point's height are
+its velocity and acceleration. Angular accelerations are measured about axes that are fixed to the road: theta'', and phi'' cos
 theta - phi' theta' sin theta.
 """
 
@@ -62,19 +62,20 @@ MOST_TRIALS = 60
 
 @dataclass(frozen=True, eq=False)
 class RigidMotion:
-    """Equations of motion of a body on c struts with k modes out of heave, pitch and roll.
+    """Equations of motion of a body on c struts; the body has k of the modes heave, pitch and roll.
 
     The states are the modes q, the hub heights z_u, and their rates.
 
     Attributes:
         body: masses, geometry and elements of the body.
         shape: matrix S of the `RigidBody`, shape (c, k).
-        yaw_inertia: moment of inertia I_z [kg m2]; it matters only if a body pitches and rolls simultaneously.
+        yaw_inertia: moment of inertia I_z [kg m2]; it has an effect only if a body pitches and rolls simultaneously.
         names: names of the signals: deflections of suspensions and tyres, then the rates of body and hubs.
-        further: names of signals that are not in `names`. The first names are those of the k accelerations of the body. The
-            next names are those of the velocities and accelerations of its c points above the hubs, and of the accelerations of
-            the hubs. The last names are those of the heights of the centre of mass, of the c points and of the hubs. For a body
-            that only moves vertically, `further` contains the names of the acceleration and height of the body and of its hub.
+        further: names of signals that are not in `names`. The first names in `further` are those of the k accelerations of the
+            body. The next names are those of the velocities and accelerations of the body's c points above the hubs, and of the
+            accelerations of the hubs. The last names are those of the heights of the centre of mass, of the body's c points
+            above the hubs, and of the hubs. For a body that only moves vertically, `further` contains the names of the
+            acceleration and height of the body and of its hub.
     """
 
     body: RigidBody
@@ -87,7 +88,8 @@ class RigidMotion:
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
         """See `Motion`.
 
-        A search finds the position of the body for the given deflections; the result is NaN if there is no such position.
+        A search finds the position of the body for the supplied deflections; the result is NaN if no position has these
+        deflections.
         """
         c = len(self.shape)
         columns = np.stack([signals[name] for name in self.names], axis=-1)
@@ -201,13 +203,15 @@ class RigidMotion:
 
     @cached_property
     def _corners(self) -> tuple[Array, ...]:
-        """Arrays of shape (c,): stiffness and damping of suspensions, then of tyres, unsprung masses, and static loads."""
+        """Arrays of shape (c,): stiffness and damping of the suspensions, stiffness and damping of the tyres, unsprung masses,
+        and static loads.
+        """
         names = ("suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping", "unsprung_mass")
         numbers = (np.array([getattr(corner, name) for corner in self.body.corners]) for name in names)
         return (*numbers, self.body.static_loads())
 
     def masses(self, q: Array) -> Array:
-        """Returns the mass matrix of the body in positions q, shape (T, k, k)."""
+        """Returns the mass matrix of the body for the positions q, shape (T, k, k)."""
         M = np.zeros((*q.shape, q.shape[1]), dtype=q.dtype)
         M[:, 0, 0] = self.body.mass
         if q.shape[1] > 1:
@@ -223,18 +227,19 @@ class RigidMotion:
         return pitch, roll
 
     def tilt(self, q: Array) -> tuple[Array, Array, Array, Array, Array | float]:
-        """Returns the sine and cosine of theta, the sine and cosine of phi, and s, each of shape (T,)."""
+        """Returns the sine and cosine of theta, the sine and cosine of phi, and the distance s, each of shape (T,)."""
         theta, phi = self.turns(q)
         c, b = self.body.pitch_arm or 0.0, self.body.roll_arm or 0.0
         return np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi), c - 2 * b * np.sin(phi / 2) ** 2 if b else c
 
     def _masses(self, sin: Array, cos: Array, side: Array, s: Array | float) -> tuple[list[Array | float], list[Array]]:
-        """Returns the entries of the mass matrix for pitch and roll, each of shape (T,): inertias, and couplings with heave.
+        """Returns the entries of the mass matrix for pitch and roll, each of shape (T,): moments of inertia, and couplings with
+        heave.
 
         Args:
             sin: sine of theta, as `tilt` returns it.
-            cos: cosine of theta.
-            side: sine of phi.
+            cos: cosine of theta, as `tilt` returns it.
+            side: sine of phi, as `tilt` returns it.
             s: distance s [m], as `tilt` returns it.
         """
         body, b = self.body, self.body.roll_arm or 0.0
@@ -248,7 +253,7 @@ class RigidMotion:
         return inertias, entries
 
     def _turned(self, q: Array, rates: Array, push: Array) -> Array:
-        """Returns q'', the accelerations of the modes, for generalised forces, shape (T, k)."""
+        """Returns q'', the accelerations of the modes that generalised forces cause, shape (T, k)."""
         mass, b = self.body.mass, self.body.roll_arm or 0.0
         if q.shape[1] == 1:
             return push / mass - GRAVITY
@@ -279,7 +284,9 @@ class RigidMotion:
         return q, hubs, rates, hub_rates
 
     def _struts(self, q: Array, hubs: Array, rates: Array, hub_rates: Array) -> tuple[Array, Array, Array, Array]:
-        """Returns the deflections d and their rates d', shape (T, c), the matrices J, shape (T, c, k), and e, shape (T, c)."""
+        """Returns the deflections d and their rates d', shape (T, c), the matrices J, shape (T, c, k), and the factors e of the
+        hub forces, shape (T, c).
+        """
         if q.shape[1] == 1:
             return q - hubs, rates - hub_rates, np.ones((*hubs.shape, 1)), np.ones_like(hubs)
         if self.body.has_axis:
@@ -306,7 +313,7 @@ class RigidMotion:
 
 
 def rigid_motion(body: RigidBody, signals: Sequence[Signal], further: Sequence[Signal]) -> RigidMotion:
-    """Returns the equations of motion of a body.
+    """Returns the equations of motion of a body on struts.
 
     Args:
         body: body with its masses, geometry, springs and dampers.

@@ -24,7 +24,7 @@ class Seat(Section):
 
     @classmethod
     def of(cls, p: Parameters) -> "Seat":
-        """Returns the seat of a vehicle from its parameters."""
+        """Returns the seat of a vehicle, read from the vehicle's parameters."""
         return cls(**{key: p[f"seat_{key}"] for key in keys(cls) if f"seat_{key}" in p})
 
     @property

@@ -1,15 +1,15 @@
 """Vehicle types with a seat: a person above a point of the body, on a spring and a damper in parallel.
 
 The mass m_p of person and seat slides along the vertical axis of the body through the point (x, y). In equilibrium, the mass
-m_p is at the height of the body's centre of mass. For small motions, the extension s of the spring relative to equilibrium is
-given by
+m_p is at the height of the body's centre of mass. For small motions, the extension s of the seat's spring relative to
+equilibrium is given by
 
     s' = z_p' - (z' - x theta' + y phi'),     m_p z_p'' = -(k_p s + c_p s'),
 
-and the force k_p s + c_p s' lifts the body at this point. If links define a roll or pitch axis of the body, the rotation about
-this axis also moves the seat horizontally. The seat then adds the inertia m_p b^2 and, per unit of the angle, the weight moment
-m_p g b to the inertia and weight moment of the body (`rigid_body.py`). The weight of the seat is part of every static load;
-`sprung_mass` is the mass of the body without the seat.
+and the force k_p s + c_p s' of spring and damper lifts the body at the point (x, y). If links define a roll or pitch axis of
+the body, a rotation about this axis also moves the seat horizontally. The seat then adds the inertia m_p b^2 and, per unit of
+the angle, the weight moment m_p g b to the inertia and weight moment of the body (`rigid_body.py`). The weight of the seat is
+part of every static load; `sprung_mass` is the mass of the body without the seat.
 """
 
 from collections.abc import Callable, Mapping
@@ -136,7 +136,8 @@ def _motion(of_car: Callable[[Parameters], Any], p: Parameters) -> "Motion":
 def _write_mjcf(of_car: Callable[[Any, Parameters], None], spec: Any, p: Parameters) -> None:
     """Writes a car with a seat: the body `seat` on the body `sprung`, its joint with the preloaded spring, and sensors.
 
-    The mass is a point at the origin of the body `seat`. Cushion and backrest are drawn above the point mass.
+    The mass of seat and person is a point mass at the origin of the body `seat`. Cushion and backrest are drawn above the point
+    mass.
     """
     of_car(spec, p)
     seat, sprung = Seat.of(p), spec.body("sprung")

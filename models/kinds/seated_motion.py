@@ -1,8 +1,8 @@
 """Exact equations of motion of a car with a seat, for large pitch and roll angles of the body.
 
-The coordinates are y = (q, s), with q = (z, theta, phi) of the body and the seat's travel s. The centre of mass of the body is
-at the height c above the pitch axis and b above the roll axis (`rigid_motion.py`). The heights b and c are 0 if links do not
-define axes. Relative to the road, the seat's mass is at the position P(y), where
+The coordinates are y = (q, s): the coordinates q = (z, theta, phi) of the body, and the seat's travel s. The centre of mass of
+the body is at the height c above the pitch axis and b above the roll axis (`rigid_motion.py`). The heights b and c are 0 if
+links do not define axes. Relative to the road, the seat's mass is at the position P(y), where
 
     Y = y cos phi - (s + b) sin phi,     h = c - b + y sin phi + (s + b) cos phi,
     P = (x cos theta + h sin theta,  Y,  z - c - x sin theta + h cos theta).
@@ -11,7 +11,7 @@ If J is the Jacobian of P, and P'' = J y'' + a, Lagrange's equations of body and
 
     (M + m J' J) y'' = (Q - ...) + (0, m g - k s - c_p s') - m J' (a + g e_z),
 
-where M and the first term are the same as for the body alone, but with the static loads of body and seat.
+where M and the first term are the same as for the body without a seat, but with the static loads of body and seat.
 """
 
 from collections.abc import Mapping
@@ -36,10 +36,10 @@ UP = np.array([0.0, 0.0, 1.0])
 class SeatedMotion:
     """Equations of motion of a car with a seat.
 
-    The states are the modes q, the hub heights, the seat's travel, and the rates of all these.
+    The states are the modes q, the hub heights, the seat's travel, and the time derivatives of all these coordinates.
 
     Attributes:
-        car: equations of the body, with the static loads of body and seat.
+        car: equations of motion of the body, with the static loads of body and seat.
         seat: seat with its mass, position, spring and damper.
     """
 
@@ -105,7 +105,7 @@ class SeatedMotion:
         return self.car.energy(car, heights) + np.stack([potential, seat.mass * (velocity**2).sum(axis=1) / 2], axis=-1)
 
     def _pushed(self, travel: Array, speed: Array) -> Array:
-        """Returns the force of spring and damper on the seat in the direction of the seat's travel [N], shape (T,)."""
+        """Returns the force of the seat's spring and damper on the seat, in the direction of its travel [N], shape (T,)."""
         return self.seat.mass * GRAVITY - self.seat.stiffness * travel - self.seat.damping * speed
 
     def _split(self, state: Array) -> tuple[Array, Array, Array]:
@@ -120,7 +120,7 @@ class SeatedMotion:
             q: modes of the body, shape (T, k).
             travel: extension of the seat's spring [m], shape (T,).
             rates: rates of the modes, shape (T, k).
-            speed: rate of the extension [m/s], shape (T,).
+            speed: rate at which the seat's spring extends [m/s], shape (T,).
 
         Returns:
             Arrays P, J and a of shape (T, 3), (T, 3, k + 1) and (T, 3).

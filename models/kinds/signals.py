@@ -12,10 +12,10 @@ class Signal(CheckedFields):
     """Named quantity, measured relative to static equilibrium.
 
     Attributes:
-        name: name in all models, files and plots.
-        symbol: symbol in the paper, or the usual symbol.
+        name: name of the quantity in all models, files and plots.
+        symbol: symbol of the quantity in the paper, or its usual symbol.
         unit: SI unit of the quantity.
-        meaning: description in one line, with the sign convention.
+        meaning: one-line description of the quantity, with the sign convention.
     """
 
     public_name = "a signal, such as models.signals.CONTROL_FORCE"
@@ -81,7 +81,7 @@ WHEEL_LOAD = Signal("wheel_load", "F_u", "N", "force on the wheel from its links
 
 
 def names_of(signals: Iterable[Signal]) -> tuple[str, ...]:
-    """Returns the names of signals."""
+    """Returns the names of the supplied signals."""
     return tuple(signal.name for signal in signals)
 
 
@@ -102,7 +102,7 @@ def of_dampers(endings: Mapping[str, bool]) -> tuple["Signal", ...]:
 
 
 def load_signal(name: str) -> Signal:
-    """Returns the signal of a load on the body or on a wheel."""
+    """Returns the signal that represents a load on the body or on a wheel."""
     body = {one.name: one for one in (HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD)}
     return body[name] if name in body else WHEEL_LOAD.at(name.removeprefix(f"{WHEEL_LOAD.name}_"))
 
@@ -114,5 +114,5 @@ def kept_signals(names: Iterable[int | str]) -> tuple["Signal", ...]:
 
 
 def is_kept(signal: Signal) -> bool:
-    """Returns True if a signal is a controller state."""
+    """Returns True if a signal is the state of a controller."""
     return signal.name.startswith(STATE_PREFIX)

@@ -1,9 +1,10 @@
 """Suspensions and tyres in the MJCF.
 
-A suspension is a spring that is preloaded with the static load. Without a spring, a constant force carries the load.
+A suspension is a spring that is preloaded with the static load. If a suspension has no spring, a constant force carries the
+static load.
 
 A strut without a spring is purely active (Thompson 1976, Hrovat 1997). The actuator of a strut without a spring applies the
-static load and the force u of the equations. The limits and the lag in `[limits]` apply only to u.
+static load, in addition to the force u of the equations. The limits and the lag in `[limits]` apply only to the force u.
 
 A tyre is a spring that can push but not pull. The damping of a tyre acts only while the tyre touches the road. A tyre with
 damping pushes its hub upward with
@@ -11,10 +12,10 @@ damping pushes its hub upward with
     F = max(0, k (l_0 - l) + c (z_r' - l')),
 
 where l is the tyre length and z_r' the road velocity. In MuJoCo, the road height and the road velocity z_r' are both held
-constant over a time step. A mocap body has no velocity of its own, so l' is the velocity of the hub. The tyre leaves the road
-when its total force is 0. When the total force reaches 0, the equivalent deflection t + (c / k) t' reaches the static
-deflection. Without damping, the equivalent deflection is the deflection t. In the air, the tyre exerts no force. The rubber of
-the tyre is assumed to return immediately to its free shape, without a force on the hub.
+constant during a time step. A mocap body has no velocity, so l' is the velocity of the hub. The tyre leaves the road when its
+total force is 0. When the total force reaches 0, the equivalent deflection t + (c / k) t' of the tyre reaches the static
+deflection. Without damping, the equivalent deflection is the tyre deflection t. While a wheel is in the air, its tyre exerts no
+force. The rubber of the tyre is assumed to return immediately to its free shape, without a force on the hub.
 """
 
 from typing import Any
@@ -58,16 +59,16 @@ def actuator_of(tyre_deflection: str) -> str:
 def write_tyre(spec: Any, tendon: str, stiffness: float, damping: float, rest: float) -> None:
     """Writes a tyre into an MjSpec.
 
-    Without damping, the spring of the tendon is the tyre. With damping, the tendon only draws the tyre; an actuator on the
-    tendon applies the whole force, which MuJoCo evaluates in every stage of a step. The control of this actuator is the road
-    velocity.
+    Without damping, the spring of the tendon represents the tyre. With damping, the tendon only draws the tyre; an actuator on
+    the tendon applies the tyre force, which MuJoCo evaluates in every stage of a step. The control input of the tyre's
+    actuator is the road velocity.
 
     Args:
         spec: MuJoCo model of the vehicle.
         tendon: name of the tyre's tendon.
         stiffness: k [N/m].
         damping: c [N s/m].
-        rest: length above which the tyre is slack [m].
+        rest: length of the tendon above which the tyre is slack [m].
     """
     tyre = spec.tendon(tendon)
     tyre.springlength[0] = rest

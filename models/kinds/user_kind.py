@@ -1,6 +1,7 @@
-"""Custom vehicle types in the user's Python code.
+"""Custom vehicle types that are defined in the user's Python code.
 
-Python executes the file of the vehicle type. The equations of the type are checked once for the parameters of each vehicle.
+Python executes the file that defines the vehicle type. The equations of the type are checked once for the parameters of each
+vehicle.
 """
 
 import sys
@@ -37,8 +38,8 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
 
     Raises:
         InputError: the file cannot be read, is not Python code, fails, or has no valid `KIND`. The functions of the vehicle
-            type also raise this error if they fail. `check_together` also raises this error if results of the vehicle type's
-            functions are wrong.
+            type also raise an InputError if they fail. The function `check_together` also raises an InputError if results of
+            the vehicle type's functions are wrong.
     """
     path = folder / f"{name}.py"
     what, module = f"vehicle type {path}", ModuleType(f"roadproof_{name}")
@@ -59,8 +60,8 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
 def print_to_stderr(*values: Any, file: Any = None, **options: Any) -> None:
     """Prints to stderr.
 
-    The `print` of custom vehicle types is replaced by this function, because stdout is reserved for the output of the command,
-    which may be JSON.
+    This function replaces the `print` of custom vehicle types, because stdout is reserved for the output of the command, which
+    may be JSON.
     """
     print(*values, file=file or sys.stderr, **options)
 
@@ -69,7 +70,7 @@ def check_parts(kind: VehicleKind) -> None:
     """Checks that the parts of a vehicle type, except its functions, fit together. `CheckedFields` checks each part separately.
 
     Raises:
-        InputError: a name is used twice, or a part refers to a name that the vehicle type does not have.
+        InputError: a name is used twice, or a part refers to a name that is not in the vehicle type.
     """
     suspended = kind.suspended or ()
     names = {
@@ -113,7 +114,7 @@ def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
     """Checks that the results of a vehicle type's functions fit its names.
 
     Raises:
-        InputError: a result has the wrong type, or its names differ from the names of the vehicle type.
+        InputError: a result has the wrong type, or the names in a result differ from those of the vehicle type.
     """
     model, rest, angles = (of(parameters) for of in (kind.linear_model, kind.static_tyre_deflection, kind.angles))
     numbers = [("behind of a wheel", wheel.behind(parameters), NotNegative) for wheel in kind.wheels]
@@ -207,6 +208,6 @@ def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
 
 @contextmanager
 def _locate_errors(path: Path) -> Iterator[None]:
-    """Adds the name of the file to an InputError."""
+    """Adds the name of the file to the text of an InputError."""
     with error_in(f"vehicle type {path}:"):
         yield

@@ -1,14 +1,14 @@
 """Anti-windup of a linear law: while the actual forces differ from the requested forces, the states follow the actual forces.
 
 A law that a computer executes is x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i]. Anti-windup adds L (clip(u[i]) - u[i])
-to x_c[i+1] (back-calculation: Astrom, Wittenmark 1997, Computer-Controlled Systems, chapter 9). If no force is clipped, the
-anti-windup term is exactly zero. While all forces are clipped, A - L C is the state matrix of the law.
+to x_c[i+1] (back-calculation: Astrom, Wittenmark 1997, Computer-Controlled Systems, chapter 9). While no force is clipped, the
+anti-windup term is exactly zero. While all forces are clipped, the law with anti-windup has the state matrix A - L C.
 
 The gain L is chosen so that, while all forces are clipped, the states decay at least by the factor exp(-rate T) in a sample
-period of T seconds. Poles of A inside the circle with the radius exp(-rate T) do not move. Poles of A outside this circle are
-mirrored at the circle. An integrator, for example, then decays at twice the rate. The matrix L is the gain of a Kalman filter
-with a prescribed degree of stability, in the limit of large measurement noise (Anderson, Moore 1971, Linear Optimal Control).
-The result does not depend on the units of the states.
+period of T seconds. Poles of A inside the circle with the radius exp(-rate T) are not moved by the anti-windup. Poles of A
+outside the circle with the radius exp(-rate T) are mirrored at this circle. An integrator, for example, then decays at twice
+the prescribed rate. The matrix L is the gain of a Kalman filter with a prescribed degree of stability, in the limit of large
+measurement noise (Anderson, Moore 1971, Linear Optimal Control). The gain L does not depend on the units of the states.
 """
 
 import numpy as np
@@ -59,8 +59,8 @@ def _mirroring_gain(A: Array, C: Array, circle: float) -> Array:
     """Returns the gain L for which A - L C has the poles of A, but with poles outside a circle mirrored at this circle.
 
     Poles are mirrored one after another, complex poles in pairs. If several close poles were mirrored together, rounding errors
-    would be as large as the result. The weight `dear` includes the previous corrections, so the order of the poles does not
-    matter.
+    would be as large as the result. The weight `dear` of a pole includes the previous corrections, so the order of the poles
+    does not matter.
 
     Raises:
         LinAlgError, ValueError: a pole outside the circle cannot be observed through C.

@@ -1,7 +1,8 @@
-"""Table of the options that can be combined in a controller's section, and of the commands that accept them.
+"""Table of the options that can be combined in a controller's section, and of the commands that accept each option.
 
 Two parts of a section, or a part and a command, can be combined unless `REFUSED_PAIRS` contains a reason against the
-combination. The messages about refused combinations and the table in the documentation are generated from this table.
+combination. The messages about refused combinations and the table in the documentation are generated from the table in this
+module.
 """
 
 from collections.abc import Collection, Mapping
@@ -112,12 +113,14 @@ def refusal(one: str, other: str) -> str:
 
 
 def goes(what: str, parts: Collection[str]) -> bool:
-    """Returns True if a part or command can be combined with all parts of a section."""
+    """Returns True if a part or command can be combined with all parts of a controller's section."""
     return not any(refusal(what, part) for part in parts)
 
 
 def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[str, str]:
-    """Returns the parts of a section, each with its text as written in the section. Values are not checked."""
+    """Returns the parts of a controller's section, each with its text as written in the section. The values in the section are
+    not checked.
+    """
     tolerance = section.get("tolerance")
     errors = [isinstance(one, Mapping) for one in tolerance.values()] if isinstance(tolerance, Mapping) else []
     goal_keys = [key for key in GOALS if key in section and not (key == "tolerance" and errors and all(errors))]
@@ -150,7 +153,7 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
 
 
 def check_together(where: str, parts: Mapping[str, str]) -> None:
-    """Checks that the parts of a section can be combined.
+    """Checks that the parts of a controller's section can be combined.
 
     Args:
         where: name of the section, for the message.
@@ -167,11 +170,11 @@ def check_together(where: str, parts: Mapping[str, str]) -> None:
 
 
 def check_command(where: str, parts: Mapping[str, str], command: str, error: type[InputError] = InputError) -> None:
-    """Checks that a command can be combined with all parts of a section.
+    """Checks that a command can be combined with all parts of a controller's section.
 
     Args:
         where: name of the section, for the message.
-        parts: parts of the section as written in the file.
+        parts: parts of the controller's section as written in the file.
         command: name of a command, a key of `COMMANDS`.
         error: class of the error to raise.
 
@@ -185,7 +188,7 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
 
 
 def _with_partners(part: str, other: str, written: str) -> str:
-    """Returns a text that names a part and the options with which this part can be combined, instead of `other`.
+    """Returns a text that names a part, and lists options with which this part can be combined instead of `other`.
 
     Args:
         part: part to describe.

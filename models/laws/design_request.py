@@ -14,10 +14,10 @@ class LawStructure:
     """Structure of a law that is designed.
 
     Attributes:
-        order: number of states. If `rows` is not None, each force has its own law with this number of states. The number is 0
-            for PI and PID, whose structure defines the number of states.
+        order: number of states of the law. If `rows` is not None, each force has its own law with `order` states. The order is
+            0 for PI and PID, whose structure defines the number of states.
         rows: a row for each force, with True for each measurement that may act on this force. If `rows` is not None, each force
-            has its own law. None means one law from all measurements to all forces.
+            has its own law. If `rows` is None, one law acts from all measurements to all forces.
         kind: "pi" or "pid"; empty for a law whose structure is defined by `order`.
         filter: time constant of the derivative's low-pass filter [s]; 0 without a derivative.
     """
@@ -29,12 +29,12 @@ class LawStructure:
 
     @property
     def text(self) -> str:
-        """The structure as a line of a vehicle file."""
+        """The structure as text, as in a line of a vehicle file."""
         return f'structure = "{self.kind}"' if self.kind else f"order = {self.order}"
 
     @property
     def record(self) -> dict[str, Any]:
-        """The structure as key and value of a controller's section."""
+        """The structure as a key and a value of a controller's section."""
         return {"structure": self.kind} if self.kind else {"order": self.order}
 
     def states(self, forces: int) -> int:
@@ -58,8 +58,8 @@ class DesignRequest(Demands, LawSource):
     """Request for the design of a linear law; the default method is the paper's two-step design.
 
     Attributes:
-        design: "full" for the full-order H-infinity controller, or one of `DESIGNS`. Empty for a law with a `structure`, and
-            for the two-step design.
+        design: "full" for the full-order H-infinity controller, or one of `DESIGNS`. The text is empty for a law with a
+            `structure`, and for the two-step design.
         structure: structure of the law; None for a law without restrictions, or for a static gain.
         preview: time for which the design `PREVIEW` knows the road ahead [s]; 0 for all other designs.
         sampled: True if the law is designed for the sampled loop.

@@ -2,7 +2,7 @@
 
 A filter is a stable and proper ratio of polynomials in s, or several such ratios in series. The state-space form of each ratio
 is the controllable form, in which time has a unit that depends on the ratio's poles. The coefficients in the controllable form
-are those of the vehicle file, except for the rounding error of one division.
+are those in the vehicle file, except for the rounding error of one division.
 
 A weight may have one pole at 0, an integrator: F(s) = r / s + F_0(s), where r is the residue at 0, and F_0 is stable and
 proper.
@@ -13,8 +13,8 @@ With w_i = 2 pi f_i,
     H(s) = 1 / (1 + w1/(Q1 s) + (w1/s)^2) * 1 / (1 + s/(Q2 w2) + (s/w2)^2) * (1 + s/w3) / (1 + s/(Q4 w4) + (s/w4)^2)
            * (1 + s/(Q5 w5) + (s/w5)^2) / (1 + s/(Q6 w6) + (s/w6)^2) * (w5/w6)^2.
 
-The factors of W_k and W_d are the band limits, the transition from acceleration to velocity, and the upward step. W_d does
-not have an upward step.
+W_k and W_d are products of the band limits, the transition from acceleration to velocity, and the upward step. W_d does not
+contain the upward step.
 """
 
 import functools
@@ -76,12 +76,13 @@ class Filter:
     """Stable and proper filter of one signal.
 
     Attributes:
-        sections: numerator and denominator of each section in series; coefficients in descending powers of s.
+        sections: numerator and denominator of each section; the sections are in series, and coefficients are in descending
+            powers of s.
         name: name of a built-in filter; empty for a filter that the file gives by its coefficients.
-        integrates: True if the filter has only one section, which may have a pole at 0.
+        integrates: True if the filter may have a pole at 0; such a filter has only one section.
 
     Raises:
-        InputError: a polynomial is invalid or zero, or its degree is too high. The error is also raised if the filter is
+        InputError: a polynomial is invalid or zero, or its degree is too high. InputError is also raised if the filter is
             improper or unstable, or if a pole or the gain is out of range.
     """
 
@@ -96,7 +97,7 @@ class Filter:
             _check(above, below, self.integrates)
 
     def response(self, omega: Array) -> Array:
-        """Returns the frequency response, complex, same shape as omega [rad/s].
+        """Returns the frequency response of the filter, complex, with the same shape as omega [rad/s].
 
         At frequency 0, the response of an integrator is set to 0, because the mean of an integral is arbitrary.
         """
@@ -127,7 +128,7 @@ class Filter:
     def realisation(self) -> LinearLaw:
         """State-space form of all sections in series; the units of the states are powers of two.
 
-        The state of an integrator is the last state.
+        The state of an integrator is the last state of the filter.
         """
         if not self.residue:
             return self._states(self.sections)
@@ -167,7 +168,7 @@ POLYNOMIAL = ListedValues(
 
 @dataclass(frozen=True)
 class FilterSection(Section):
-    """Section of a filter in a vehicle file: the name of a built-in filter, or the coefficients of a filter."""
+    """Section of a vehicle file that defines a filter: the name of a built-in filter, or the coefficients of a filter."""
 
     integrates: ClassVar[bool] = False  # True if the filter may have a pole at 0
 
@@ -197,7 +198,7 @@ class FilterSection(Section):
 
 
 def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
-    """Returns the coefficients without leading zeros."""
+    """Returns the coefficients of a polynomial without leading zeros."""
     for one in given:
         if not is_finite(one) or not (one == 0 or SMALLEST <= abs(one) <= LARGEST):
             raise InputError(
@@ -212,7 +213,7 @@ def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
 
 
 def _check(above: Sequence[float], below: Sequence[float], integrates: bool) -> None:
-    """Raises InputError if a section is improper or unstable, or if a pole or the gain is out of range.
+    """Raises InputError if a section of a filter is improper or unstable, or if a pole or the gain is out of range.
 
     Args:
         above: numerator coefficients.
@@ -244,7 +245,9 @@ def _check(above: Sequence[float], below: Sequence[float], integrates: bool) -> 
 
 
 def _decays(polynomial: Sequence[float]) -> bool:
-    """Returns True if all roots are left of the imaginary axis, by the Routh array in exact rational arithmetic."""
+    """Returns True if all roots of a polynomial are left of the imaginary axis, by the Routh array in exact rational
+    arithmetic.
+    """
     sign = 1 if polynomial[0] > 0 else -1
     exact = [sign * Fraction(one) for one in polynomial]
     above, below = exact[0::2], exact[1::2]
@@ -258,7 +261,7 @@ def _decays(polynomial: Sequence[float]) -> bool:
 
 
 def _controllable(above: Sequence[float], below: Sequence[float]) -> LinearLaw:
-    """Returns the controllable form of a section with balanced states and a unit of time that depends on the poles."""
+    """Returns the controllable form of a filter section, with balanced states and a unit of time that depends on the poles."""
     k = len(below) - 1
     a = np.array(below) / below[0]
     b = np.concatenate([np.zeros(k + 1 - len(above)), above]) / below[0]

@@ -53,7 +53,7 @@ WEIGHT = SI("1", "", 1e-6, 1e6, COEFFICIENTS)  # weight of a gain error that is 
 def _weighted_signals(value: Any, context: Mapping[str, Any]) -> dict[str, float] | None:
     """Returns the weight of each signal in a norm; if the file lists signals without weights, all weights are 1.
 
-    Returns None for the output z of `[performance]`.
+    The result is None if the norm applies to the output z of `[performance]`.
     """
     if value == PERFORMANCE:
         return None
@@ -71,7 +71,7 @@ def _weighted_signals(value: Any, context: Mapping[str, Any]) -> dict[str, float
 
 
 def _band(value: Any, context: Mapping[str, Any]) -> tuple[float, float]:
-    """Returns the lowest and the highest frequency of a band [Hz]."""
+    """Returns the lowest and the highest frequency of a frequency band [Hz]."""
     ends = [in_unit(one, "Hz", HERE) for one in value] if isinstance(value, list | tuple) else []
     if len(ends) != 2 or not all(map(is_finite, ends)) or not 0 <= ends[0] < ends[1] <= HIGHEST:
         raise InputError(
@@ -93,7 +93,7 @@ class NormOf(Section):
 
     @property
     def narrow(self) -> bool:
-        """True if the norm is restricted to a frequency band, False if it covers all frequencies."""
+        """True if the norm covers only a frequency band, False if it covers all frequencies."""
         return self.band != EVERYWHERE
 
     @property
@@ -113,7 +113,7 @@ class NormOf(Section):
 
 @dataclass(frozen=True)
 class Minimise(NormOf):
-    """The norm that is minimised, and how the norms of a vehicle family are combined."""
+    """The norm that is minimised, and the rule that combines the norms of a vehicle family."""
 
     over: Annotated[str, Choice("what is minimised over a family of vehicles", (WORST, REGRET), OVER)] = WORST
 
@@ -126,8 +126,8 @@ def _signal(value: Any, context: Mapping[str, Any]) -> str:
 
 
 def _magnitude(value: Any, context: Mapping[str, Any]) -> float:
-    """Returns the largest magnitude that a bound allows for a signal [SI]. The vehicle file gives the magnitude in the unit of
-    the signal.
+    """Returns the largest magnitude that a bound of a vehicle file allows for a signal [SI]. The vehicle file gives the largest
+    magnitude in the unit of the signal.
     """
     signal = context.get("peak", context.get("energy_peak"))
     return SI(context["signals"].get(signal, "1"), low=SMALLEST).number(HERE, value)
@@ -155,7 +155,7 @@ class PeakBound(Section):
 
 @dataclass(frozen=True)
 class EnergyBound(Section):
-    """Upper bound on the peak magnitude of a signal over all roads with a given energy."""
+    """Upper bound on the peak magnitude of a signal for all roads with a given energy."""
 
     energy_peak: Annotated[
         str, ReadBy("signal whose largest magnitude over all roads of a given energy has a bound", _signal, allowed=TEXT)
@@ -175,7 +175,7 @@ class DecayBound(Section):
 
 @dataclass(frozen=True)
 class GainBound(Section):
-    """Upper bound on the magnitude of all entries of the gain."""
+    """Upper bound on the magnitude of all entries of the gain matrix."""
 
     gain: Annotated[float, SI("1", "largest magnitude of an entry of the gain", SMALLEST)]
 
@@ -206,7 +206,7 @@ def _tolerance(value: Any, context: Mapping[str, Any]) -> dict[str, float | Filt
 
 
 def _error(where: str, given: Any) -> float | Filter:
-    """Returns the relative uncertainty of a signal, or the weight of a frequency-dependent uncertainty."""
+    """Returns the relative uncertainty of a signal; if the uncertainty depends on frequency, returns its weight."""
     if not isinstance(given, Mapping):
         return ERROR.number(where, given)
     if set(given) != {"weight"}:
@@ -243,9 +243,9 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
     """Returns a row for each force, with True for each measurement at the corner of the force.
 
     Args:
-        what: name of the key in the vehicle file, for messages.
+        what: name of the key in the vehicle file, for use in messages.
         measured: names of the measured signals.
-        corners: suffix of the signal names at the suspension of each force.
+        corners: suffix of the signal names at the suspension on which each force acts.
 
     Raises:
         InputError: a signal belongs to no corner, or a corner has no signal.
@@ -271,8 +271,8 @@ FACTORS = ListedValues("", BySignal("", "parameters", 0.1, 10.0, "1"), f", {FAMI
 class Goals(Section):
     """Goals of one controller, given as keys of its section.
 
-    In a file, `tolerance` may also contain weights of uncertainties, and `structure` may also be the structure of a dynamic
-    law.
+    In a vehicle file, `tolerance` may also contain weights of uncertainties, and `structure` may also be the structure of a
+    dynamic law.
     """
 
     minimise: Annotated[
@@ -296,9 +296,7 @@ class Goals(Section):
 
     @property
     def goals(self) -> "Goals":
-        """The goals that also apply to a static gain; frequency-dependent uncertainties and structures of dynamic laws are
-        omitted.
-        """
+        """The goals that also apply to a static gain: no frequency-dependent uncertainties, no structures of dynamic laws."""
         own: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(Goals)}
         own["tolerance"] = {name: one for name, one in self.tolerance.items() if not isinstance(one, Filter)}
         own["structure"] = None if self.structure in PATTERNS else self.structure
@@ -320,14 +318,14 @@ class Goals(Section):
     def force_error(self, force: str) -> float:
         """Returns the relative uncertainty of an actuator's force.
 
-        If a controller measures the force, the name of the force refers to the uncertainty of this measurement. The key `force`
-        then gives the uncertainty of the actuator.
+        If a controller measures the force, the key with the name of the force gives the uncertainty of this measurement. The
+        key `force` then gives the uncertainty of the actuator.
         """
         return self.tolerance.get(FORCE, self.tolerance.get(force, 0.0))
 
     @property
     def roads(self) -> tuple[str, ...]:
-        """Names of the roads in the bounds."""
+        """Names of the roads that occur in the bounds."""
         return tuple(bound.road for bound in self.bounds if isinstance(bound, PeakBound))
 
     @property

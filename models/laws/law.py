@@ -37,7 +37,7 @@ class ControlLaw:
 
     @property
     def driver_key(self) -> DriverKey:
-        """Key of the driver: `law_key` or, if exported code computes the outputs in runs, the checksum of this code."""
+        """Key of the driver: `law_key` or, if exported code computes the outputs in runs, the checksum of the exported code."""
         return self.law_key if self.code is None else ("code", self.code.sha256)
 
     @property
@@ -66,8 +66,8 @@ class ControlLaw:
 class LawSource:
     """Base class of the sources of control laws: numbers, a design, a file with code, or the name of a semi-active law.
 
-    A source also has two attributes: `given` is its `LinearLaw`, and `request` is its `DesignRequest`. Each attribute is None
-    if the source is of a different type.
+    A source also has two attributes: `given` is its `LinearLaw`, and `request` is its `DesignRequest`. An attribute that does
+    not apply to the type of source is None.
     """
 
     linear = True  # False if linear analysis does not apply to the law
@@ -96,18 +96,18 @@ class LawSource:
     def values(self) -> dict[str, float | None]:
         """Numbers of the law by key, such as `gain[0][1]` for an entry of a matrix.
 
-        The value None means that the number has its default value. The mapping is empty for laws without numbers.
+        A number with the value None has its default value. The mapping of numbers is empty for laws without numbers.
         """
         return {}
 
     def with_values(self, measured: tuple[str, ...], values: Mapping[str, float]) -> dict[str, Any]:
-        """Returns the law's part of a controller's section, as in a vehicle file, after replacing numbers of the law by
-        `values`.
+        """Returns the law's part of a controller's section, as in a vehicle file, after replacing numbers of the law by those
+        in `values`.
         """
         return self.record
 
     def driver(self, name: str, measured: tuple[str, ...], design: Design[T], read: Callable[[], str] | None = None) -> T:
-        """Returns the controller with this law.
+        """Returns the controller that applies the law.
 
         Args:
             name: name of the controller, as in the vehicle file.
@@ -117,11 +117,11 @@ class LawSource:
                 `read` does not execute the text.
 
         Raises:
-            InputError: the file of the law cannot be read, or `design` raises this error.
+            InputError: the file of the law cannot be read, or `design` raises an InputError.
         """
         return design(name)
 
 
 def no_design(name: str) -> NoReturn:
-    """Raises an InputError: the controller has a linear law, which `synth.design_controllers` must design."""
+    """Raises an InputError, because the controller has a linear law, which `synth.design_controllers` must design."""
     raise InputError(f"controller {name!r} has a linear law; design this controller with synth.design_controllers")

@@ -6,9 +6,9 @@ structure = "corner"
 structure = "pid"
 pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }
 
-A PID law is u = kp y + ki (integral of y) + kd s / (filter s + 1) y. The integral is an exact integrator with a pole at 0. The
-law has no minus sign: a positive force lifts the body, so negative gains on an extension counteract it and positive gains
-amplify it.
+A PID law is u = kp y + ki (integral of y) + kd s / (filter s + 1) y, with the measurement y and the force u. The integral of a
+PID law is an exact integrator with a pole at 0. The PID law has no minus sign: a positive force lifts the body, so negative
+gains on an extension counteract it and positive gains amplify it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,9 +34,10 @@ EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
 
 
 def pid_filter(kind: str, filter: float) -> LinearLaw:
-    """Returns the continuous-time system from y to the three signals y, integral of y, and filtered derivative of y.
+    """Returns the continuous-time system from a measurement y to three signals: y, the integral of y, and the filtered
+    derivative of y.
 
-    For a PI law, there is no derivative.
+    For a PI law, the filtered derivative is omitted.
     """
     if kind == PI:
         return LinearLaw(np.zeros((1, 1)), np.ones((1, 1)), np.array([[0.0], [1.0]]), np.array([[1.0], [0.0]]))
@@ -57,8 +58,8 @@ def side_by_side(one: LinearLaw, count: int) -> LinearLaw:
 
 
 def _gains(value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
-    """Returns one gain of a PI or PID law for each force. The file gives one number for all forces, or a list with one number
-    per force.
+    """Returns one gain of a PI or PID law for each force. The vehicle file gives one number for all forces, or a list with one
+    number per force.
     """
     m = len(context["corners"])
     several = value if isinstance(value, list | tuple) else [value] * m
@@ -78,7 +79,7 @@ class PidSection(Section):
 
 
 def _order(value: Any, context: Mapping[str, Any]) -> str | int:
-    """Returns the order of a law: the name of an allowed order, or a number of states."""
+    """Returns the order in a law structure: the name of an allowed order, or a number of states."""
     if value not in (STATIC, FULL) and not is_order(value):
         raise InputError(
             f"{HERE} = {short_repr(value)} is unknown; give one of {FULL}, {STATIC}, or a number of states from 0 to "
@@ -89,7 +90,7 @@ def _order(value: Any, context: Mapping[str, Any]) -> str | int:
 
 @dataclass(frozen=True, kw_only=True)
 class StructureSection(Goals):
-    """Keys of a controller's section for the structure of a law, and for its goals."""
+    """Keys of a controller's section that define the structure and the goals of a law."""
 
     order: Annotated[Any, ReadBy("`static`, `full`, or the number of states of the law", _order, allowed=ORDER)] | None = None
     pid: (
@@ -103,7 +104,7 @@ class StructureSection(Goals):
 
         Args:
             measured: names of the measured signals.
-            corners: suffix of the signal names at the suspension of each force.
+            corners: suffix of the signal names at the suspension on which each force acts.
 
         Raises:
             InputError: the structure does not fit the signals, or `pid` does not fit the structure.
@@ -129,7 +130,7 @@ class StructureSection(Goals):
     def pid_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
         """Returns the PID law whose numbers the section gives, without states that have no effect; None for any other law.
 
-        For arguments and errors, see `law_structure`.
+        For the arguments and errors, see `law_structure`.
         """
         pid = self.pid
         if pid is None or self.structure in PATTERNS:
@@ -155,8 +156,8 @@ class StructureSection(Goals):
 def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
     """Returns the numbers of a PI or PID law for each force, as in `pid` of a vehicle file; empty for any other law.
 
-    The states of a PI or PID law are integrals and filtered signals. The poles are 0 for integrals and -1 / filter for filtered
-    signals. The input gains are 1 and 1 / filter.
+    The states of a PI or PID law are integrals and low-pass-filtered signals. The poles of the law are 0 for integrals and -1 /
+    filter for filtered signals. The input gains of the states are 1 for integrals and 1 / filter for filtered signals.
     """
     rates = -np.diag(law.A)
     signals, forces = np.nonzero(law.B), np.nonzero(law.C.T)
@@ -183,12 +184,12 @@ def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
 
 
 def pid_text(law: LinearLaw) -> str:
-    """Returns a PI or PID law as a vehicle file contains it, with a table for each force; empty for any other law."""
+    """Returns a PI or PID law as it is written in a vehicle file, with a table for each force; empty for any other law."""
     return pid_tables(pid_gains(law))
 
 
 def pid_tables(gains: Sequence[Mapping[str, float]]) -> str:
-    """Returns the gains as a vehicle file contains them: for each force, a table of gains by name."""
+    """Returns the gains as they are written in a vehicle file: for each force, a table of gains by name."""
     tables = [", ".join(f"{name} = {entry(value)}" for name, value in each.items()) for each in gains]
     return ", ".join(f"pid = {{ {one} }}" for one in tables)
 
@@ -196,7 +197,7 @@ def pid_tables(gains: Sequence[Mapping[str, float]]) -> str:
 def _one_each(what: str, measured: Sequence[str], corners: Mapping[str, str]) -> tuple[tuple[bool, ...], ...]:
     """Returns a row for each force, with True for the only measurement that acts on this force.
 
-    `what` names the structure in messages.
+    The argument `what` is the name of the structure in messages.
     """
     m, q = len(corners), len(measured)
     if q == m and not any(corners.values()):

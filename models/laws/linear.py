@@ -1,4 +1,6 @@
-"""Linear control law from measurements to forces: x_c' = A x_c + B y, u = C x_c + D y. A static gain has no states."""
+"""Linear control law from measurements to forces: x_c' = A x_c + B y, u = C x_c + D y. A static gain is a linear law without
+states.
+"""
 
 import re
 from collections.abc import Mapping
@@ -36,15 +38,15 @@ class LinearLaw(LawSource):
         A: state matrix, shape (k, k).
         B: gain from the measurements to the state, shape (k, q).
         C: gain from the state to the forces, shape (m, k).
-        D: gain from the measurements to the forces [N per unit of the measurement], shape (m, q). Without states, D is the
-            static gain K.
+        D: gain from the measurements to the forces [N per unit of the measurement], shape (m, q). If the law has no states, D
+            is the static gain K.
         sample_period: sample period of a discrete law [s]; None for a continuous law. A discrete law is
             x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i].
         anti_windup: rate at which the states follow the actual forces while forces are clipped [1/s]; None without anti-windup.
 
     Raises:
-        InputError: a matrix has the wrong shape, or entries that are not real and finite or exceed `LARGEST`, or there are too
-            many states. The message states which matrix is invalid.
+        InputError: a matrix has the wrong shape, or has entries that are not real and finite or exceed `LARGEST`, or the law
+            has too many states. The message of the error states which matrix is invalid.
     """
 
     request = None
@@ -81,7 +83,7 @@ class LinearLaw(LawSource):
 
     @property
     def record(self) -> dict[str, Any]:
-        """The law as keys of JSON and TOML: the gain of a static law, otherwise matrices, sample period and anti-windup."""
+        """The law as keys of JSON and TOML: the gain of a static law; for other laws, matrices, sample period and anti-windup."""
         if not self.states:
             return {"gain": self.D.tolist()}
         numbers = {"sample_period": self.sample_period, "anti_windup": self.anti_windup}
@@ -114,19 +116,21 @@ class LinearLaw(LawSource):
     def matrix(self) -> Array:
         """[D, C; B, A], shape (m + k, q + k).
 
-        The columns belong to the measurements and the states. The rows belong to the forces, followed by the rates of the
-        states (for a discrete law: the next states).
+        The columns of the matrix belong to the measurements and the states. The rows of the matrix belong to the forces,
+        followed by the rates of the states (for a discrete law: the next states).
         """
         return np.block([[self.D, self.C], [self.B, self.A]])
 
     @property
     def acts(self) -> bool:
-        """False if the law returns a force of 0 whatever the measurements are."""
+        """False if the force of the law is 0 for all measurements."""
         return bool(np.any(self.D) or (np.any(self.B) and np.any(self.C)))
 
     @property
     def growth(self) -> float:
-        """Growth rate of the fastest growing state without feedback [1/s]; 0 if no state grows by more than rounding errors."""
+        """Growth rate of the law's fastest growing state without feedback [1/s]; 0 if no state grows by more than rounding
+        errors.
+        """
         if not self.states:
             return 0.0
         poles, size = np.linalg.eigvals(self.A), float(np.abs(self.A).max())
@@ -138,17 +142,17 @@ class LinearLaw(LawSource):
         return float(fastest) if fastest > rounding else 0.0
 
     def response(self, omega: float | Array) -> Array:
-        """Returns the transfer matrix at a frequency, complex, shape (m, q); for frequencies of shape (F,), shape (F, m, q).
+        """Returns the law's transfer matrix at one frequency, complex, shape (m, q), or at F frequencies, shape (F, m, q).
 
         Args:
-            omega: angular frequency [rad/s], for a discrete law below pi / period.
+            omega: angular frequency [rad/s]; for a discrete law, below pi divided by the sample period.
         """
         s = 1j * np.asarray(omega)[..., None, None]
         at = s if self.sample_period is None else np.exp(s * self.sample_period)
         return self.C @ np.linalg.solve(at * np.eye(self.states) - self.A, self.B) + self.D
 
     def of_state(self, period: float | None) -> float:
-        """Returns the factor that converts the states of `sampled(period)` to the states of this law.
+        """Returns the factor that converts the states of `sampled(period)` to the states of the law itself.
 
         Args:
             period: sample period [s]; None for the states of `continuous()`.
@@ -169,7 +173,7 @@ class LinearLaw(LawSource):
     def only(self, forces: Array) -> "LinearLaw":
         """Returns the law with all forces set to 0, except selected forces.
 
-        Together with `scaled`, this function opens the loop at actuators.
+        The methods `scaled` and `only` together open the loop at actuators.
 
         Args:
             forces: True for each force that remains, shape (m,).
@@ -178,8 +182,8 @@ class LinearLaw(LawSource):
         return replace(self, C=np.where(rows, self.C, 0.0), D=np.where(rows, self.D, 0.0))
 
     def fed_back(self, through: Array) -> "LinearLaw":
-        """Returns the equivalent law for measurements y0, where this law measures y = y0 + `through` u; solves the algebraic
-        loop.
+        """Returns the equivalent law for measurements y0, where this law measures y = y0 + `through` u; this solves the
+        algebraic loop.
 
         Args:
             through: feedthrough from the forces to the measurements, shape (q, m).
@@ -235,10 +239,11 @@ class LinearLaw(LawSource):
     def sampled(self, period: float) -> "LinearLaw":
         """Returns the discrete law that a computer executes at a sample period.
 
-        For a continuous law, the states are exact if the measurements change linearly between samples (ramp-invariant or
+        The sampled states of a continuous law are exact if the measurements change linearly between samples (ramp-invariant or
         first-order hold: Franklin, Powell, Workman 1998, section 6.3). Unlike a method that holds measurements between samples,
-        this method adds no delay. With this method, a state that is fast relative to the period settles immediately; with
-        Tustin's rule, it would oscillate. A discrete law is returned unchanged at its own sample period.
+        the ramp-invariant method adds no delay. With the ramp-invariant method, a state that is fast relative to the period
+        settles immediately; with Tustin's rule, it would oscillate. At its own sample period, a discrete law is returned
+        unchanged.
 
         Args:
             period: sample period [s].
@@ -263,7 +268,7 @@ class LinearLaw(LawSource):
         return LinearLaw(Phi, Gamma - ramp + Phi @ ramp, law.C, law.D + law.C @ ramp, period, self.anti_windup)
 
     def _at(self, period: float) -> bool:
-        """Returns True if `period` equals the law's own sample period."""
+        """Returns True if `period` equals the sample period for which the law is defined."""
         return self.sample_period is not None and bool(np.isclose(self.sample_period, period, rtol=1e-9, atol=0))
 
 

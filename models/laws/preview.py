@@ -1,14 +1,14 @@
 """Preview: the part of a linear law that responds to the road ahead. The preview is a feedforward in addition to the feedback u
 = K y.
 
-The force is the integral of F(s) d(t + s) over s from 0 to T, where d contains the road velocities w and heights z_r under the
-wheels:
+The preview force is the integral of F(s) d(t + s) over s from 0 to T, where d contains the road velocities w and heights z_r
+under the wheels:
 
     F(s) = C exp(A s) [B, H]    on [w; z_r].
 
-A computer knows the road only at its sample times. The preview is exact for a road that changes linearly between samples. In
-the same way, a sampled law with states is exact for measurements that change linearly between samples (`models.laws.linear`).
-For such a road, the preview force is a weighted sum of the road heights at the coming samples.
+A computer knows the road only at its sample times. The preview is exact for a road that changes linearly between samples. Like
+the preview, a sampled law with states is exact for measurements that change linearly between samples (`models.laws.linear`).
+For a road that changes linearly between samples, the preview force is a weighted sum of the road heights at the coming samples.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ MOST_PRODUCTS = 2e9  # a sum with at most this number of products is computed te
 
 @dataclass(frozen=True, eq=False)
 class RoadPreview:
-    """Feedforward force that depends on the road ahead. The docstring of the module contains the formula.
+    """Feedforward force that depends on the road ahead. The docstring of the module contains the formula for the force.
 
     Attributes:
         seconds: preview time T, for which the road ahead of every wheel is known [s].
@@ -39,7 +39,7 @@ class RoadPreview:
         C: output matrix, shape (m, k).
 
     Raises:
-        InputError: a matrix has the wrong shape or entries that are not real and finite, or T is not allowed.
+        InputError: a matrix has the wrong shape or entries that are not real and finite, or the preview time T is not allowed.
     """
 
     seconds: float
@@ -75,7 +75,7 @@ class RoadPreview:
         return samples_ahead(self.seconds, period)
 
     def weights(self, period: float) -> Array:
-        """Returns the forces per metre of height at the coming samples, shape (P, m, r): u = sum of W_i z_r(t + i period).
+        """Returns the forces per metre of road height at the coming samples, shape (P, m, r): u = sum of W_i z_r(t + i period).
 
         The preview time is rounded down to an integer number of samples.
         """
@@ -98,8 +98,8 @@ class RoadPreview:
         return weights
 
     def difference(self, other: "RoadPreview") -> float:
-        """Returns the largest difference between the weights of this preview and another, relative to the other's largest
-        weight.
+        """Returns the largest difference between the weights of this preview and another preview, relative to the largest
+        weight of the other preview.
 
         The difference is infinite if the preview times or shapes differ.
         """
@@ -115,8 +115,8 @@ class RoadPreview:
         Args:
             heights: heights of the road at the T timesteps of a run, followed by the heights during the preview time after the
                 run [m], shape (T + ahead, r).
-            steps: timesteps between two samples of the controller.
-            timestep: timestep of the heights [s].
+            steps: number of timesteps between two samples of the controller.
+            timestep: time between two successive heights [s].
             samples: number T of timesteps in the run.
         """
         weights, due = self.weights(steps * timestep), -(-samples // steps)
@@ -146,7 +146,7 @@ class RoadPreview:
 
 
 def _correlate(heights: Array, weights: Array) -> Array:
-    """Returns the correlation of two signals, the heights and the weights, at all positions at which all weights have a height.
+    """Returns the correlation of two signals, heights and weights, at all positions where a height exists for every weight.
 
     For long signals, the correlation is computed by Fourier transforms.
     """
@@ -161,7 +161,7 @@ def preview_of(record: Mapping[str, Any]) -> RoadPreview | None:
     """Returns the preview that a controller's record contains; None for a controller without preview.
 
     Raises:
-        InputError: a number is missing or invalid.
+        InputError: a number of the preview is missing or invalid.
     """
     if not isinstance(found := record.get("preview"), Mapping):
         return None

@@ -1,8 +1,8 @@
 """Controllers in the user's Python code: `law = "my_law.py:step"` in `[controllers.NAME]`, or a function passed to `sim.run`.
 
-This module reads the code but does not execute it. Linear analysis does not apply to Python laws. The files of Python laws must
-be in the folder of the vehicle file, or in folders below this folder. A log, a result, or a vehicle file that is passed as text
-cannot refer to the file of a law.
+The module reads the code of a Python law but does not execute it. Linear analysis does not apply to Python laws. The files of
+Python laws must be in the folder of the vehicle file, or in a folder below it. A log, a result, or a vehicle file that is
+passed as text cannot refer to the file of a law.
 """
 
 import hashlib
@@ -38,9 +38,10 @@ class PythonLaw(LawSource):
     Attributes:
         law: `FILE.py:FUNCTION`, or `FILE.fmu`.
         preview: time for which the law knows the road ahead [s]; None if the law does not receive the road.
-        folder: folder of the vehicle file; None for a vehicle file from text, whose laws cannot run.
-        inputs: signal that each input variable of an FMU receives; only variables whose name is not the name of a signal.
-        outputs: force that each output variable of an FMU gives; only variables whose name is not the name of a signal.
+        folder: folder of the vehicle file; None for a vehicle file that is passed as text, whose Python laws and FMUs cannot
+            run.
+        inputs: signal that each input variable of an FMU receives; variables whose name is the name of a signal are omitted.
+        outputs: force that each output variable of an FMU gives; variables whose name is the name of a signal are omitted.
     """
 
     linear = False
@@ -54,7 +55,7 @@ class PythonLaw(LawSource):
 
     @property
     def file(self) -> str:
-        """File of the law, relative to the folder."""
+        """Path of the law's file relative to the folder of the vehicle file."""
         return self.law if self.is_fmu else self.law.rpartition(":")[0]
 
     @property
@@ -91,7 +92,7 @@ class PythonLaw(LawSource):
 
     @property
     def path(self) -> Path | None:
-        """Path of the law's file; None for a vehicle file from text."""
+        """Path of the law's file; None for a vehicle file that is passed as text."""
         return None if self.folder is None else self.folder / self.file
 
     def record_from(self, folder: Path) -> dict[str, Any]:
@@ -133,14 +134,15 @@ class PythonLaw(LawSource):
 
 @dataclass(frozen=True, eq=False)
 class PythonController(ControlLaw):
-    """Controller with a Python law, and the text that is executed. Linear analysis does not apply to this controller.
+    """Controller with a Python law, and the text of this law, which is executed. Linear analysis does not apply to a controller
+    with a Python law.
 
     Attributes:
-        name: name in the vehicle file.
+        name: name of the controller in the vehicle file.
         measured: names of the q measured signals y.
         law: reference to the law, as in the vehicle file.
         source: text of the law's file, or of the function if Python can find the text of the function.
-        function: the function itself, or a `sim.Driver`, which runs in this process; None for a law in a file.
+        function: the function or `sim.Driver` of the caller, which runs in the caller's process; None for a law in a file.
     """
 
     linear: ClassVar[Literal[False]] = False
@@ -198,7 +200,7 @@ class PythonController(ControlLaw):
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals and law as keys of JSON."""
+        """Name, signals and law of the controller as keys of JSON."""
         return {"name": self.name, "measured": list(self.measured), **self.law.record, "sha256": self.sha256}
 
 
@@ -210,15 +212,15 @@ def is_driver(given: object) -> bool:
 def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
     """Returns the controller whose forces a Python function or driver computes.
 
-    The function may have the attributes `measured` and `preview` [s], with the same meaning as in a vehicle file.
+    The function may have the attributes `measured` and `preview` [s], which have the same meaning as in a vehicle file.
 
     Args:
         function: function or driver of the caller, which computes the forces.
-        measurable: signals that a controller can measure. A function without an attribute `measured` receives all signals that
-            a controller can measure.
+        measurable: names of the signals that a controller can measure. A function without an attribute `measured` receives all
+            signals that a controller can measure.
 
     Raises:
-        InputError: an attribute is not allowed.
+        InputError: an attribute of the function is not allowed.
     """
     # A function that was defined as a lambda has the name "<lambda>"
     name = getattr(function, "__name__", type(function).__name__).strip("<>")
@@ -243,7 +245,7 @@ def sha256(text: str) -> str:
 
 
 def _beside(pattern: re.Pattern[str], expected: str, value: Any, context: Mapping[str, Any]) -> str:
-    """Returns the text of a file, which must be in the folder of the vehicle file or in a folder below this folder. Opens no
+    """Returns the text of a file, which must be in the folder of the vehicle file or in a folder below it. Opens no
     file.
     """
     match = pattern.fullmatch(value) if isinstance(value, str) else None
@@ -253,7 +255,7 @@ def _beside(pattern: re.Pattern[str], expected: str, value: Any, context: Mappin
 
 
 def _variables(value: Any, context: Mapping[str, Any]) -> dict[str, str]:
-    """Returns signals by the names of the FMU variables to which they belong."""
+    """Returns the signals by the names of the FMU variables that correspond to them."""
     if not isinstance(value, Mapping) or not all(isinstance(signal, str) for signal in value.values()):
         example = '{ In1 = "suspension_deflection" } for inputs, or { Out1 = "control_force" } for outputs'
         raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give a signal for each variable, as in {example}")
@@ -262,7 +264,7 @@ def _variables(value: Any, context: Mapping[str, Any]) -> dict[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramSection(Section):
-    """Keys of a controller's section with a Python law or an FMU."""
+    """Keys of a controller's section that contains a Python law or an FMU."""
 
     law: (
         Annotated[
@@ -288,7 +290,7 @@ class ProgramSection(Section):
         """Returns the Python law or the FMU; None for a section with a different type of law. Opens no file.
 
         Args:
-            folder: folder of the vehicle file; None for a vehicle file from text.
+            folder: folder of the vehicle file; None for a vehicle file that is passed as text.
         """
         law = self.law or self.fmu
         return None if law is None else PythonLaw(law, self.preview, folder, self.inputs or {}, self.outputs or {})

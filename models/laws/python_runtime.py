@@ -2,12 +2,12 @@
 
 A law is a function `step(sample, state)` that returns the force and the next state, or `law(t, y)` that returns the force.
 
-Every run executes the file of the law again. Every run therefore has its own global variables of the file and its own state of
-the law, so runs do not affect each other. A vectorised law is executed only once for all runs of a batch.
+Every run executes the file of the law again. Therefore, every run has its own global variables of the law's file and its own
+state of the law. Runs do not affect each other. A vectorised law is executed only once for all runs of a batch.
 
-A law in a file runs in a child process (`FileRuns`). The child is terminated if one call, or all calls of a run together, take
-too long. The limit of a run is `SLOWEST` times its simulated time, plus `LONGEST`. A function passed by the caller runs in the
-caller's process, without limits (`LawRuns`).
+A law in a file runs in a child process (`FileRuns`). The child process is terminated if one call of the law, or all calls in a
+run together, take too long. The time limit of a run is `SLOWEST` times its simulated time, plus `LONGEST`. A function passed by
+the caller runs in the caller's process, without time limits (`LawRuns`).
 """
 
 import inspect
@@ -36,15 +36,15 @@ SLOW = f"takes more than {LONGEST:g} s plus {SLOWEST:g} times the simulated time
 
 
 class Sample:
-    """Arguments with which a law is called at a sample.
+    """Arguments that a law receives at a sample.
 
     Attributes:
-        y: measurements in the order of `measured`, shape (q,). `sample["sprung_velocity"]` returns a single measurement by its
-            name.
-        time: time since the start [s].
-        period: time until the next sample [s].
-        preview: road heights [m], shape (r, P): a row per wheel, a column for the present sample and for each of the next
-            samples within the preview time. None if the vehicle file does not define a preview time.
+        y: measurements in the order of `measured`, shape (q,). The expression `sample["sprung_velocity"]` returns a single
+            measurement by its name.
+        time: time since the start of the run [s].
+        period: time until the next sample of the controller [s].
+        preview: road heights [m], shape (r, P): a row for each wheel, and a column for the present sample and for each of the
+            next samples within the preview time. The heights are None if the vehicle file does not define a preview time.
         parameters: parameters of the vehicle in SI units, by name.
 
     A vectorised law receives N simultaneous runs: y has shape (N, q), `sample["sprung_velocity"]` has shape (N,), preview has
@@ -74,7 +74,8 @@ class OwnLaw:
     """One execution of a law, with the state of the law and the global variables of its file.
 
     Attributes:
-        vectorised: True if one call computes all runs. The function of the law declares this by its attribute `vectorised`.
+        vectorised: True if one call of the law computes the forces of all runs. The function of a vectorised law has the
+            attribute `vectorised`.
     """
 
     def __init__(self, controller: PythonController, forces: int) -> None:
@@ -83,7 +84,7 @@ class OwnLaw:
         A function of the caller is reset if it has a method `reset`; otherwise, the function is copied with its state.
 
         Args:
-            controller: controller with the law.
+            controller: controller that contains the law.
             forces: number of forces that the law must return.
 
         Raises:
@@ -118,8 +119,8 @@ class OwnLaw:
 
         Args:
             y: measurements, shape (q,), or (N, q) for a vectorised law.
-            time: time since the start [s].
-            period: time until the next sample [s].
+            time: time since the start of the run [s].
+            period: time until the next sample of the controller [s].
             preview: road heights, as in `Sample`.
             parameters: parameters of the vehicle [SI], by name.
 
@@ -132,7 +133,7 @@ class OwnLaw:
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
         """Calls the law once and checks its result.
 
-        The check is part of this function, because methods of the result may be user code, too.
+        The check is treated as part of the call, because methods of the result may be user code, too.
         """
         given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
         if not isinstance(given, tuple) or len(given) != 2:
@@ -155,7 +156,9 @@ class OwnLaw:
         return forces.reshape(shape)
 
     def _run(self, name: str, code: Callable[[], Any], time: float | None = None) -> Any:
-        """Executes code of the law. Every failure becomes a one-line message, with the simulated time [s] of the call."""
+        """Executes code of the law. Every failure of the code becomes a one-line message, which states the simulated time [s]
+        of the call.
+        """
         try:
             return code()
         except BaseException as error:
@@ -187,21 +190,21 @@ class LawRuns:
     vectorised law share one execution.
 
     Attributes:
-        vectorised: True if one call computes all runs.
+        vectorised: True if one call of the law computes the forces of all runs.
     """
 
     vectorised = False
 
     def __init__(self, controller: PythonController, forces: int) -> None:
-        """Prepares runs of a law that returns the given number of forces. `add` adds the runs."""
+        """Prepares runs of a law that returns the number of forces in `forces`; the method `add` adds the runs."""
         self._controller, self._forces = controller, forces
         self._laws, self._parameters = list[OwnLaw](), list[Mapping[str, float]]()
 
     def add(self, parameters: Mapping[str, float]) -> bool:
-        """Adds a run of a vehicle with these parameters. Returns `vectorised`.
+        """Adds a run of a vehicle with the supplied parameters. Returns `vectorised`.
 
         Raises:
-            InputError: `OwnLaw` raises this error; the run is then not added.
+            InputError: `OwnLaw` raises an InputError, in which case the run is not added.
         """
         if not self.vectorised:
             self._laws.append(OwnLaw(self._controller, self._forces))
@@ -212,14 +215,14 @@ class LawRuns:
     def call(
         self, gone: Array, y: Array, time: float, period: float, preview: Array | None
     ) -> tuple[Array, dict[int, InputError]]:
-        """Returns the requested forces of N runs [N], shape (N, m), and the errors by number of the run.
+        """Returns the requested forces of N runs [N], shape (N, m), and the errors, by the number of the run that failed.
 
         Args:
             gone: True for each run whose law is no longer called, shape (N,). The forces of runs whose law is no longer called
                 are 0.
             y: measurements, shape (N, q).
-            time: time since the start [s].
-            period: time until the next sample [s].
+            time: time since the start of the run [s].
+            period: time until the next sample of the controller [s].
             preview: road heights ahead [m], shape (N, r, P); None without preview.
 
         Raises:
@@ -245,10 +248,10 @@ class LawRuns:
 
 
 class FileRuns:
-    """`LawRuns` for a law in a file; the law is executed in a child process. If the process ends, all runs in it fail."""
+    """`LawRuns` for a law in a file, which is executed in a child process. If the child process ends, all runs in it fail."""
 
     def __init__(self, controller: PythonController, forces: int) -> None:
-        """Prepares runs of a law that returns the given number of forces. `add` adds the runs."""
+        """Prepares runs of a law that returns the number of forces in `forces`; the method `add` adds the runs."""
         self._what, self._name, self._left, self._count = describe_law(controller), controller.law.function, LONGEST, 0
         self._error: InputError | None = None
         self._child = _child()
@@ -256,7 +259,7 @@ class FileRuns:
         self._child.send(("begin", os.getcwd(), sys.path, controller, forces))
 
     def add(self, parameters: Mapping[str, float]) -> bool:
-        """See `LawRuns.add`. Executing the file also fails if it takes too long."""
+        """See `LawRuns.add`. The execution of the file also fails if it takes too long."""
         self._count += 1
         return self._answer("the file", LONGEST_START, "", "add", parameters)
 
@@ -266,7 +269,7 @@ class FileRuns:
         """See `LawRuns.call`.
 
         Raises:
-            InputError: `LawRuns.call` raises this error, a call takes too long, or the code ends the process.
+            InputError: `LawRuns.call` raises an InputError, a call takes too long, or the code ends the process.
         """
         self._left += SLOWEST * period * self._count
         began = clock()
@@ -279,7 +282,9 @@ class FileRuns:
             self._left -= clock() - began
 
     def _answer(self, name: str, longest: float, when: str, *message: Any) -> Any:
-        """Returns the answer of the child process. After the process has ended, every call raises the same error."""
+        """Returns the answer of the child process. After the child process has ended, every further call raises the error that
+        reports this end.
+        """
         if self._error is None:
             try:
                 return self._child.ask(message, longest)
@@ -327,31 +332,29 @@ def _serve_laws(messages: Iterator[Any]) -> Iterator[Any]:
 
 
 def _pack_array(array: Array) -> tuple[str, tuple[int, ...], bytes]:
-    """Returns type, shape and content of a small array; pickling them takes a tenth of the time of pickling the array."""
+    """Returns the type, shape and content of a small array; pickling these takes a tenth of the time of pickling the array."""
     return array.dtype.char, array.shape, array.tobytes()
 
 
 def _unpack_array(dtype: str, shape: tuple[int, ...], content: bytes) -> Array:
-    """Returns the array with this type, shape and content."""
+    """Returns the array with the supplied type, shape and content."""
     return np.frombuffer(content, dtype).reshape(shape).copy()
 
 
 def runs_of(controller: PythonController, forces: int) -> LawRuns | FileRuns:
-    """Returns the object that runs a law. A law in a file runs in a child process, and a function of the caller in this
-    process.
+    """Returns the object that runs a law. A law in a file runs in a child process; a function of the caller runs in the
+    caller's process.
     """
     return (FileRuns if controller.function is None else LawRuns)(controller, forces)
 
 
 def describe_law(controller: PythonController) -> str:
-    """Returns a text for messages: the name of a controller, and its Python law or FMU."""
+    """Returns a text for messages: the name of a controller, followed by its Python law or FMU."""
     return f"controller {controller.name!r}, {'FMU' if controller.law.is_fmu else 'law'} {controller.law.law}"
 
 
 def _takes_time(function: Any) -> bool:
-    """Returns True if the function of a law has the arguments time and measurements, law(t, y), instead of a sample and a
-    state.
-    """
+    """Returns True if the function of a law takes a time and measurements, law(t, y), instead of a sample and a state."""
     try:
         return next(iter(inspect.signature(function).parameters), "") == "t"
     except (TypeError, ValueError):  # a function that is not written in Python has no signature

@@ -1,9 +1,10 @@
 """Built-in semi-active laws: the coefficient of a semi-active damper as a function of the motion of its suspension.
 
-At a suspension, body and wheel have the velocities z_s' and z_u'. The damper with the extension rate v = z_s' - z_u' gives the
-force -c v. A law requests c. The damper clips c to its limits and holds it until the next sample. Delay and valve lag affect c,
-but the force is always computed with the present v. If a law requests a force F of the whole damper, for example the force of a
-damper between body and sky, then c = -F / v. All functions compute N simultaneous runs with m suspensions.
+The body and the wheel at a suspension have the velocities z_s' and z_u'. The damper with the extension rate v = z_s' - z_u'
+gives the force -c v. A law requests c. The damper clips its coefficient c to its limits and holds c constant until the next
+sample. Delay and valve lag affect the coefficient c, but the damper force is always computed with the present velocity v. If a
+law requests a force F of the whole damper, for example the force of a damper between body and sky, the coefficient is c = -F /
+v. All functions in this file compute N simultaneous runs with m suspensions.
 
 Source of the laws' names, and of laws without another source: Savaresi, Poussot-Vassal, Spelta, Sename,
 Dugard, Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
@@ -46,8 +47,8 @@ class LawCoefficients:
         modes: factors from the velocities of the body's b modes to the velocities at the suspensions, as two tuples of b arrays
             of shape (N, m). The factors in the first tuple also include the sky damping of the mode, relative to `sky`.
         mix: weight of skyhook in a hybrid law, from 0 (only groundhook) to 1 (only skyhook), shape (N, m).
-        crossover: crossover frequency of the mixed law, which is skyhook below it and ADD above it [rad/s], shape (N, m).
-        still: value that replaces a velocity of 0 [m/s].
+        crossover: frequency below which the mixed law is skyhook, and above which it is ADD [rad/s], shape (N, m).
+        still: velocity that replaces a velocity of 0 [m/s].
     """
 
     c_min: Quantity
@@ -80,7 +81,9 @@ def _choose(condition: Quantity, this: Quantity, that: Quantity) -> Quantity:
 
 
 def _over(of: LawCoefficients, force: Quantity, v: Quantity) -> Quantity:
-    """Returns the coefficient at which a damper gives a force [N] at a velocity, or at `still` if the velocity is 0."""
+    """Returns the coefficient with which a damper gives a force [N] at a velocity, or at the velocity `still` if the velocity
+    is 0.
+    """
     return -force / _choose(v == 0, of.still, v)
 
 
@@ -117,8 +120,9 @@ def power_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, travel: Q
     """PDD: spring and damper together take energy out of the suspension (Morselli, Zanasi 2008).
 
     The damper is soft if its soft setting already dissipates the power that the spring releases. The damper is hard if even its
-    hard setting does not dissipate this power. Otherwise, the damper dissipates exactly this power. At zero velocity with a
-    deflected spring, the coefficient is the mean of both limits.
+    hard setting does not dissipate the power that the spring releases. Otherwise, the damper dissipates exactly the power that
+    the spring releases. If the velocity is zero and the spring is deflected, the coefficient is the mean of its smallest and
+    largest values.
     """
     v = body - wheel
     spring = of.stiffness * travel
@@ -165,8 +169,8 @@ class SemiActiveLaw(LawSource):
 
     Attributes:
         name: name of the law, a key of `LAWS`.
-        numbers: parameters of the law that the file gives, each as key and value.
-        endings: suffixes of the signal names at the suspensions, in the order of the forces.
+        numbers: parameters of the law that the vehicle file gives, each as key and value.
+        endings: suffixes of the signal names, one for each suspension, in the order of the forces.
         modes: names of the velocity signals of body modes that the law measures; empty for laws that treat each corner
             separately.
     """
@@ -211,7 +215,7 @@ class SemiActiveLaw(LawSource):
         return ", ".join([f"semi-active law {self.name}", *(f"{key} {value:g}" for key, value in self.numbers)]) + f" ({about})"
 
     def coefficients(self, y: Array, of: LawCoefficients) -> Array:
-        """Returns the requested coefficients [N s/m], shape (..., N, m).
+        """Returns the requested coefficients of the dampers [N s/m], shape (..., N, m).
 
         Args:
             y: measurements, shape (..., N, q).
@@ -225,12 +229,12 @@ class SemiActiveLaw(LawSource):
 
 @dataclass(frozen=True, eq=False)
 class SemiActive(ControlLaw):
-    """Controller with a built-in semi-active law. Linear analysis does not apply to this controller.
+    """Controller with a built-in semi-active law. Linear analysis does not apply to a controller with a semi-active law.
 
     Attributes:
-        name: name in the vehicle file.
+        name: name of the controller in the vehicle file.
         law: law that computes the requested coefficients of the dampers.
-        code: the exported code that computes the outputs in runs; None if the law itself computes them.
+        code: exported code that computes the outputs of the controller in runs; None if the law itself computes them.
     """
 
     linear: ClassVar[Literal[False]] = False
@@ -262,7 +266,7 @@ class SemiActive(ControlLaw):
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals, law and code as keys of JSON."""
+        """Name, signals, law and code of the controller as keys of JSON."""
         code = {"code": self.code.record} if self.code is not None else {}
         return {"name": self.name, "measured": list(self.measured), **self.law.record, **code}
 
@@ -272,7 +276,7 @@ DAMPING = "coefficient of a damper between body and sky"
 
 @dataclass(frozen=True, kw_only=True)
 class SemiActiveSection(Section):
-    """Keys of a controller's section with a semi-active law."""
+    """Keys of a controller's section that contains a semi-active law."""
 
     semi_active: Annotated[str, Choice("name of a built-in semi-active law", (*LAWS,))] | None = None
     sky_damping: Annotated[float, SI("N s/m", DAMPING, 0.0)] | None = None
@@ -289,10 +293,10 @@ class SemiActiveSection(Section):
         """Returns the semi-active law; None for a section with a different type of law.
 
         Args:
-            given: keys of the section in the file.
+            given: keys that the controller's section in the vehicle file contains.
             outputs: names of the output signals of the vehicle.
-            inputs: names of the forces of the vehicle.
-            endings: suffix of the signal names at the suspension of each semi-active damper, by force.
+            inputs: names of the forces that controllers can apply to the vehicle.
+            endings: suffix of the signal names at the suspension of each semi-active damper; the keys are the forces.
 
         Raises:
             InputError: a key belongs to a different law, or the vehicle lacks a signal or damper that the law needs.

@@ -1,4 +1,4 @@
-"""Execution of the user's Python code. Every failure becomes a one-line message with the name of the file."""
+"""Execution of the user's Python code. Every failure of the code becomes a one-line message with the name of the file."""
 
 import traceback
 from collections.abc import Callable
@@ -17,7 +17,7 @@ def compile_file(what: str, path: Path, text: str) -> CodeType:
 
     Args:
         what: name of the file, for messages.
-        path: path of the file.
+        path: path of the file with the code.
         text: content of the file.
 
     Raises:
@@ -36,13 +36,13 @@ def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: 
 
     Args:
         what: name of the file, for messages.
-        path: path of the file.
-        name: name of the code, for messages.
-        code: function that calls the code.
+        path: path of the file with the code.
+        name: name of the user's code, for messages.
+        code: function that calls the user's code.
         refuses: True if the code may raise InputError on purpose.
 
     Raises:
-        InputError: the code failed. The message gives the last executed line of the user's file.
+        InputError: the user's code failed. The message of the error gives the last executed line of the user's file.
     """
     try:
         # NumPy's warnings are not needed, because the caller checks for results that are not finite
@@ -57,7 +57,7 @@ def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: 
 
 
 def reason(error: BaseException, path: Path | None = None) -> str:
-    """Describes an error: its type, its text, and the last executed line of the file."""
+    """Describes an error in the user's code: its type, its text, and the last executed line of the file."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     said = "" if isinstance(error, InputError) else type(error).__name__
     with suppress(Exception):  # user code may also define the text of an exception, and may fail while it creates the text

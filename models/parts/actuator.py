@@ -1,6 +1,6 @@
 """Actuator whose motion ratio changes with travel.
 
-If the ratio is constant, the linear model contains the whole force, so this part is not needed.
+If the motion ratio is constant, the linear model contains the whole actuator force, so no part for the actuator is needed.
 """
 
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from models.parts.part import Part
 
 @dataclass(frozen=True, eq=False)
 class Actuator(Part):
-    """Force that pushes body and wheel apart. The input u of the part is the force [N]."""
+    """Actuator force that pushes body and wheel apart. The input u of the actuator is its force [N]."""
 
     inputs = 1
 

@@ -1,7 +1,7 @@
-"""Semi-active dampers in a vehicle, and the characteristics that act in parallel with them.
+"""Semi-active dampers in a vehicle, and the characteristics in `[curves]` that act in parallel with these dampers.
 
 If a suspension with a semi-active damper also has a characteristic in `[curves]`, the characteristic acts in parallel with the
-damper, like the friction of a strut. At every setting of the damper, only the deviation of this characteristic from its
+damper, like the friction of a strut. At every setting of the damper, only the deviation of the parallel characteristic from its
 linearisation acts, because the semi-active damper replaces the linear part.
 
 If c_s is the nominal coefficient and c_s + d the set coefficient, the damper and the parallel characteristic together pull with
@@ -9,8 +9,9 @@ the force
 
     c_s v + g(v) + d h(v).
 
-Here h(v) = v, except for a damper with two characteristics (`models.characteristics.adjustable_range`). The deviation g is the
-sum of two deviations from linearisations: of the nominal setting, and of the parallel characteristic.
+The function h is h(v) = v, except for a damper with two characteristics (`models.characteristics.adjustable_range`). The
+deviation g is the sum of two deviations from linearisations: that of the nominal setting, and that of the parallel
+characteristic.
 """
 
 from collections.abc import Iterator, Sequence
@@ -41,7 +42,7 @@ class Adjustable(SettablePart):
     native = True
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.pull`. The input u is the coefficient minus the nominal coefficient [N s/m]."""
+        """See `Part.pull`. The input u of the damper is its coefficient minus the nominal coefficient [N s/m]."""
         return self.ratio * self.force_at(self.ratio * v, u)
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
@@ -51,12 +52,12 @@ class Adjustable(SettablePart):
 
     @cached_property
     def line(self) -> Line:
-        """See `Part.line`. The linearisation is that of the damper at its nominal setting."""
+        """See `Part.line`. The linearisation of the force is that of the damper at its nominal setting."""
         return Line(0.0, self.ratio**2 * self.nominal)
 
     @property
     def is_nonlinear(self) -> bool:
-        """True if the force at the nominal setting differs from its linearisation."""
+        """True if the damper's force at the nominal setting differs from its linearisation."""
         return self.nominal_curve is not None and self.nominal_curve.is_nonlinear
 
     @property
@@ -65,11 +66,11 @@ class Adjustable(SettablePart):
 
     @cached_property
     def curve(self) -> ForceCurve | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """See `Part.curve`. The characteristic is that of the nominal setting; None if it is straight."""
+        """See `Part.curve`. The characteristic of the damper at its nominal setting; None if the characteristic is straight."""
         return self.nominal_curve and self.nominal_curve.at_wheel(self.ratio)
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the velocities beyond which the nominal force deviates too much from its linearisation."""
+        """Returns the velocities beyond which the damper's nominal force deviates too much from its linearisation."""
         return () if self.curve is None else departures(self.curve, "velocity")
 
     def at_wheel(self, ratio: float) -> "Adjustable":
@@ -90,8 +91,8 @@ class Adjustable(SettablePart):
         """Yields the semi-active damper of a suspension, before its motion ratio is applied.
 
         Raises:
-            InputError: the vehicle type has no nominal damper at this suspension, the nominal coefficient is outside the
-                limits, or the parallel characteristic supplies energy.
+            InputError: the vehicle type has no nominal damper at the suspension, the nominal coefficient is outside the limits,
+                or the parallel characteristic supplies energy.
         """
         dampers, suspensions, name = vehicle.dampers, vehicle.kind.suspensions, place.damping
         if not vehicle.adjusted(place.force):
@@ -149,10 +150,11 @@ class Adjustable(SettablePart):
 
     @property
     def offset(self) -> ForceCurve | None:
-        """Characteristic of the part of the force that does not depend on the damper's setting; None if it is zero.
+        """Characteristic of the part of the force that does not depend on the damper's setting; None if this part of the force
+        is zero.
 
-        The other actuators of the damper give (c - c_s) l v and (c - c_min) (h(v) - l v), where l is the slope of h at
-        equilibrium.
+        The other actuators of the damper give the forces (c - c_s) l v and (c - c_min) (h(v) - l v), where l is the slope of h
+        at equilibrium.
         """
         if self.nominal_curve is None or self.damper.pair is None:
             return self.nominal_curve

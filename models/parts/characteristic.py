@@ -15,10 +15,10 @@ from models.parts.part import CURVE, Limit, Line, Part, Quantity
 
 @dataclass(frozen=True, eq=False)
 class Characteristic(Part):
-    """Force r a f(r x) over an argument x, where f is a characteristic.
+    """Force r a f(r x) as a function of an argument x, where f is a characteristic, r a motion ratio and a a factor.
 
     Attributes:
-        own: characteristic f of the element itself, before the motion ratio is applied.
+        own: characteristic f of the element, before the motion ratio is applied.
         factor: factor a; it differs from 1 if the vehicle's parameter differs from the slope of the characteristic.
         ratio: constant motion ratio r.
     """
@@ -31,14 +31,14 @@ class Characteristic(Part):
 
     @classmethod
     def with_slope(cls, curve: ForceCurve, slope: float) -> Self:
-        """Returns the part with the characteristic scaled to a given slope at equilibrium."""
+        """Returns the part after scaling its characteristic to a prescribed slope at equilibrium."""
         return cls(curve, slope / curve.slope if curve.slope else 1.0)
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         return self.ratio * self.factor * self.own(self.ratio * (v if self.argument == "velocity" else d))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.beyond`. The result is exactly 0 for arguments at which the force equals its linearisation."""
+        """See `Part.beyond`. The result is exactly 0 for arguments at which the force of the part equals its linearisation."""
         x = v if self.argument == "velocity" else d
         return self.own.pieces.force(x) if self._alone else self.ratio * self.factor * self.own.pieces.force(self.ratio * x)
 
@@ -64,7 +64,9 @@ class Characteristic(Part):
         return self.own.scaled(self.factor).at_wheel(self.ratio)
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the arguments below and above equilibrium beyond which the force deviates too much from its linearisation."""
+        """Returns the arguments below and above equilibrium beyond which the force of the part deviates too much from its
+        linearisation.
+        """
         return departures(self.curve, "velocity" if self.argument == "velocity" else "deflection")
 
     def at_wheel(self, ratio: float) -> Part:
@@ -80,6 +82,6 @@ class Characteristic(Part):
 
 
 def departures(curve: ForceCurve, of: Quantity) -> Sequence[Limit]:
-    """Returns the limits below and above equilibrium beyond which a characteristic deviates too much from its linearisation."""
+    """Returns the limits of the argument beyond which a characteristic deviates too much from its linearisation."""
     sides = zip((-1.0, 1.0), curve.departures_at, strict=True)
     return [Limit(CURVE, of, sign, abs(far)) for sign, far in sides if abs(far) < np.inf]

@@ -1,6 +1,6 @@
 """`[curves]` of a vehicle file: characteristics of springs and dampers, and motion ratios as a function of travel.
 
-Each entry has the name of the parameter that it replaces.
+Each entry of `[curves]` has the name of the parameter that it replaces.
 """
 
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ def curves_and_parameters(
         motion ratios.
 
     Raises:
-        InputError: a table is not allowed, or a parameter is in both sections.
+        InputError: a table is not allowed, or a parameter is in both `[curves]` and `[parameters]`.
     """
     over, ratios = FEATURES.load("lines of parts").curvable(kind.suspensions), _ratios(section, kind)
     at_rest = {name: table.at_rest for name, table in ratios.items()}
@@ -53,7 +53,7 @@ def curves_and_parameters(
 
 
 def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> dict[str, RatioTable]:
-    """Returns the motion ratios as a function of travel in `[curves]`, by parameter."""
+    """Returns the motion ratios that `[curves]` gives as a function of travel, by the name of the parameter."""
     names = {part.ratio for part in kind.suspensions} & {*section}
     if not names:
         return {}
@@ -72,7 +72,7 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> dict[str, RatioTab
 
 
 def static_loads(kind: VehicleKind, parameters: Mapping[str, float]) -> dict[str, float]:
-    """Returns the static load of each spring [N], by the parameter of its stiffness; empty if the loads are unknown."""
+    """Returns the static load of each spring [N], by the name of its stiffness parameter; empty if the loads are unknown."""
     loads = kind.static_loads(parameters)
     springs = {part.stiffness: part for part in kind.suspensions if part.stiffness and part.deflection in loads}
     return {name: loads[part.deflection] / part.motion_ratio(parameters) for name, part in springs.items()}
@@ -84,15 +84,15 @@ def rebalanced_curves(
     """Returns the characteristics of a vehicle whose parameters have changed, and updates the stiffnesses of shifted springs.
 
     If the table of a spring carries the static load, as with `preload = true`, the equilibrium moves along the table to the new
-    static load. A motion ratio that depends on travel stays defined relative to equilibrium, as in a vehicle file with the new
-    parameters.
+    static load. A motion ratio that depends on travel remains a function of the travel from equilibrium, as in a vehicle file
+    with the new parameters.
 
     Args:
         kind: vehicle type.
         curves: characteristics before the change.
         before: parameters before the change [SI], by name.
-        parameters: parameters after the change [SI], by name. The function writes the stiffnesses of shifted springs into this
-            mapping.
+        parameters: parameters after the change [SI], by name. The function also writes the stiffnesses of shifted springs into
+            `parameters`.
     """
     settled = dict(curves)
     if not any(curve.at_rest for curve in curves.values()):

@@ -23,9 +23,9 @@ class DamperCurve(Characteristic):
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
-        """Yields the damper of a suspension, unless it is semi-active.
+        """Yields the damper of a suspension, unless the damper is semi-active.
 
-        The damper has a characteristic, or is a linear damper with a motion ratio that changes with travel.
+        The damper has a characteristic in `[curves]`, or is linear with a motion ratio that changes with travel.
         """
         name, curve = place.damping, vehicle.curves.get(place.damping)
         if vehicle.adjusted(place.force) or isinstance(curve, ForceSurface):

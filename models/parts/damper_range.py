@@ -17,19 +17,19 @@ STILL = 1e-150  # this velocity [m/s] replaces a velocity of 0, to avoid divisio
 class CoefficientRange:
     """Limits of the coefficients relative to the nominal coefficients, for N runs with m actuators each.
 
-    Force actuators are included with infinite limits. The closing velocity of a force actuator counts as 1, so its coefficient
-    equals its force.
+    Force actuators are included with infinite limits. The closing velocity of a force actuator is defined as 1, so its
+    coefficient equals its force.
 
     Attributes:
         low: smallest coefficient minus the nominal coefficient [N s/m], shape (N, m).
         high: largest coefficient minus the nominal coefficient [N s/m], shape (N, m).
         nominal: nominal coefficient [N s/m], 0 for force actuators, shape (N, m).
         adjustable: True for semi-active dampers, equal in all runs, shape (m,).
-        elements: force elements whose voltage a controller sets. For an element, the limits, the nominal value and the
+        elements: force elements whose voltages a controller sets. For a force element, the limits, the nominal value and the
             coefficient are voltages [V].
-        deviations: deviations from the linearisation: of the function h in `models.characteristics.adjustable_range`, and of
-            the softest setting. Each deviation has P segments, shape (N, m, P). The value is None if all characteristics are
-            straight.
+        deviations: deviation of the function h in `models.characteristics.adjustable_range` from its linearisation, and
+            deviation of the softest setting from its linearisation. Each deviation has P segments, shape (N, m, P). The
+            deviations are None if all characteristics are straight.
     """
 
     low: Array
@@ -41,7 +41,7 @@ class CoefficientRange:
 
     @property
     def curved(self) -> bool:
-        """True if the limits of the coefficients depend on the motion."""
+        """True if the limits of the coefficients depend on the motion of the suspensions."""
         return self.deviations is not None or bool(self.elements)
 
     def closing(self, speeds: Array, travels: Array, z: Array) -> Array:
@@ -62,10 +62,10 @@ class CoefficientRange:
         return [part for (travel, _), own in pairs for part in (travel[..., None], own)]
 
     def effective_velocity(self, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the factor from coefficient to force, shape (..., N, m).
+        """Returns the factor that converts a coefficient to a force, shape (..., N, m).
 
-        The factor is the closing velocity [m/s], corrected for nonlinear characteristics. The factor of an element is its mean
-        force per volt [N/V].
+        For a damper, the factor is the closing velocity [m/s], corrected for nonlinear characteristics. For a force element,
+        the factor is its mean force per volt [N/V].
         """
         rates = list[tuple[SetColumn, Array]]()
         for one in self.elements:
@@ -78,18 +78,18 @@ class CoefficientRange:
         return _with(self._velocity(closing, which), rates)
 
     def _velocity(self, closing: Array, which: Array | slice) -> Array:
-        """Returns `effective_velocity` for dampers, and the closing velocity for elements."""
+        """Returns `effective_velocity` for dampers, and the closing velocity for force elements."""
         closing = closing[..., : self.low.shape[1]]
         return closing if self.deviations is None else closing - self.deviations[0][which].force(-closing)
 
     def secant_limits(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice) -> tuple[Array, Array]:
-        """Returns the smallest and the largest ratio of force to velocity at given velocities, shapes (N, m).
+        """Returns a damper's smallest and largest ratios of force to velocity at the supplied velocities, shapes (N, m).
 
         Args:
             c_min: smallest coefficient at velocity 0 [N s/m], shape (N, m).
             c_max: largest coefficient at velocity 0 [N s/m], shape (N, m).
             closing: closing velocity of each suspension [m/s], not 0, as `closing` returns it, shape (N, m + c).
-            which: selection of runs among the N runs.
+            which: runs that are selected from the N runs.
         """
         speeds = closing[..., : self.low.shape[1]]
         if self.deviations is not None:
@@ -105,7 +105,7 @@ class CoefficientRange:
         return c_min, c_max
 
     def forces(self, beyond: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the forces [N] for settings that are given relative to the nominal settings, shape (..., N, m)."""
+        """Returns the forces [N] at the supplied settings, which are relative to the nominal settings, shape (..., N, m)."""
         parts = [(one, *one.at(closing, which)) for one in self.elements]
         pushes = [(one, part.push(*motion, beyond[..., one.column])) for one, part, motion in parts]
         return _with(beyond * self._velocity(closing, which), pushes)
@@ -127,21 +127,22 @@ class CoefficientRange:
         settings in the first m columns [N].
 
         Args:
-            requested_force: the requested forces [N], followed by the motion of each suspension, as `closing` returns it, shape
+            requested_force: requested forces [N], followed by the motion of each suspension, as `closing` returns it, shape
                 (..., N, 2 m + c).
-            which: selection of runs among the N runs.
+            which: runs that are selected from the N runs.
         """
         forces, closing = np.split(requested_force, [self.low.shape[1]], axis=-1)
         beyond = self.settings(forces, closing, which)
         return np.concatenate([beyond, forces - self.forces(beyond, closing, which)], axis=-1)
 
     def clip_coefficients(self, coefficients: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the same array as `commands`, but for requested coefficients instead of forces; shape (..., N, 2 m).
+        """Returns an array of the same form as `commands`, but for requested coefficients instead of forces; shape (..., N, 2
+        m).
 
         Args:
             coefficients: requested coefficients of the dampers, force divided by velocity [N s/m], shape (..., N, m).
             closing: closing velocity of each suspension [m/s], as `closing` returns it, shape (..., N, m + c).
-            which: selection of runs among the N runs.
+            which: runs that are selected from the N runs.
         """
         speeds, turned = closing[..., : self.low.shape[1]], self._velocity(closing, which)
         whole, coefficients = coefficients * speeds, coefficients - self.nominal[which]
@@ -161,13 +162,13 @@ class CoefficientRange:
         return np.minimum(np.maximum(coefficients, self.low[which]), self.high[which])
 
     def clipped_off(self, forces: Array, closing: Array | None, which: Array | slice = slice(None)) -> Array:
-        """Returns the forces that the actuators can give minus the requested forces [N], shape (N, m); exactly 0 if nothing is
+        """Returns the forces that the actuators can give minus the requested forces [N], shape (N, m); exactly 0 if no force is
         clipped.
 
         Args:
             forces: requested forces [N], shape (N, m).
             closing: motion of each suspension, as in `commands`, shape (N, m + c); None if all actuators are force actuators.
-            which: selection of runs among the N runs.
+            which: runs that are selected from the N runs.
         """
         turned = 1.0 if closing is None else self._velocity(closing, which)
         coefficients = forces / turned
@@ -179,13 +180,13 @@ class CoefficientRange:
 
     @property
     def at_rest(self) -> Array:
-        """Offsets that keep the closing velocities of `commands` from being 0, shape (m,)."""
+        """Offsets that keep the closing velocities in `commands` from being 0, shape (m,)."""
         return np.where(self.adjustable, STILL, 1.0)
 
 
 def _with(values: Array, columns: Sequence[tuple["SetColumn", Array]]) -> Array:
-    """Returns the values of all actuators, shape (..., m), after replacing the columns of the force elements by their own
-    values.
+    """Returns the values of all actuators, shape (..., m), after replacing the columns of the force elements by values for the
+    elements.
     """
     if not columns:
         return values
@@ -200,13 +201,13 @@ class SetColumn:
     """Force elements of N vehicles at one suspension; a controller sets the voltages of these elements.
 
     Attributes:
-        column: index of the element's force among the inputs.
-        place: index of the suspension.
+        column: index of the element's force among the inputs of the vehicle.
+        place: index of the suspension on which the elements act.
         names: signals of the suspension's deflection and velocity at the wheel.
         states: columns of the element's states among the states of all parts.
-        own: names of the element's internal states.
-        start: index of the column in `CoefficientRange.closing` that contains the element's travel; the columns of its states
-            follow.
+        own: names of the elements' internal states.
+        start: index of the column in `CoefficientRange.closing` that contains the element's travel; the columns of its internal
+            states follow.
         parts: the elements after their motion ratios are applied: one element that all runs share, or N elements.
         element: the N elements combined into one part, before the motion ratio is applied.
     """

@@ -1,7 +1,7 @@
 """`[parts.NAME]` of a vehicle file: a force element in parallel with the suspension's own spring and damper.
 
-Each registered part that is also declared as a section of a vehicle file can be a force element. The fields of the part are the
-keys of the section.
+Each registered part that is also declared as a section of a vehicle file can be a force element. The fields of the part's class
+are the keys of the section.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -19,7 +19,7 @@ from models.parts.stops.stop import holds, places_of
 
 @dataclass(frozen=True)
 class PartSite(Section):
-    """Keys that the sections of all elements have in common."""
+    """Keys that the sections of all force elements have in common."""
 
     kind: Annotated[str, Text("name of the part")]
     at: Annotated[tuple[str, ...], ListedValues("suspensions or axles with the element; default: all", Text())] = ()
@@ -32,7 +32,7 @@ class Element:
     Attributes:
         name: name of the section `[parts.NAME]`.
         corners: names of the corners with the element; one empty name if the vehicle has a single suspension.
-        part: the part, before its motion ratio is applied.
+        part: part that represents the element, before its motion ratio is applied.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Element:
 
     @property
     def straight(self) -> "Element":
-        """The linearised element; the unchanged element if it is linear, or if it acts only on contact."""
+        """The linearised element; if the element is linear or acts only on contact, the unchanged element."""
         part = self.part
         return self if part.contact or not part.is_nonlinear else replace(self, part=Straight(part.line, part.states))
 
@@ -49,15 +49,15 @@ class Element:
         """Returns the linearised element after replacing its damping [N s/m] or stiffness [N/m].
 
         Args:
-            slope: the new damping or stiffness.
-            damps: True for damping, False for stiffness.
+            slope: the new damping [N s/m] or stiffness [N/m].
+            damps: True to replace the damping, False to replace the stiffness.
         """
         line = replace(self.part.line, damping=slope) if damps else replace(self.part.line, stiffness=slope)
         return replace(self, part=Straight(line, self.part.states))
 
     @property
     def numbers(self) -> dict[str, tuple[float, SI]]:
-        """Numbers of the element that a campaign may vary, by `NAME.key`, each with its unit and range."""
+        """Numbers of the element that a campaign may vary, each with its unit and range; the keys have the form `NAME.key`."""
         section = type(self.part) if isinstance(self.part, Section) else Section
         own = {key: one for key, one in keys(section).items() if isinstance(one, SI)}
         return {
@@ -65,8 +65,8 @@ class Element:
         }
 
     def sampled(self, values: Mapping[str, float]) -> "Element":
-        """Returns the element with new values of its numbers; `values` contains them by `NAME.key`, along with numbers of other
-        elements.
+        """Returns the element with new values of its numbers; `values` contains the values by `NAME.key`, along with numbers of
+        other elements.
         """
         own = {name.removeprefix(f"{self.name}."): value for name, value in values.items() if name in self.numbers}
         return replace(self, part=replace(self.part, **own)) if own else self  # pyright: ignore[reportArgumentType]
@@ -88,8 +88,8 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str], taken: Col
 
     Args:
         section: the section `[parts]`.
-        corners: names of the corners with suspensions.
-        taken: names of parameters, which elements must not have.
+        corners: names of the corners that have suspensions.
+        taken: names that elements must not have, because parameters already have them.
 
     Raises:
         InputError: a part or a place is unknown, or a key is missing, unknown or not allowed.
@@ -121,7 +121,7 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str], taken: Col
 
 
 def _places(at: Sequence[str], corners: Sequence[str]) -> tuple[str, ...]:
-    """Returns the corners at the given suspensions or axles; all corners if none is given."""
+    """Returns the corners at the named suspensions or axles; all corners if no suspension or axle is named."""
     chosen = list[str]()
     for place in at:
         here = [corner for corner in corners if holds(place, corner)]

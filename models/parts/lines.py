@@ -28,7 +28,7 @@ def lines_at_rest(curves: Sequence[SuspensionPart]) -> str:
 
     The text is empty if all characteristics are straight.
 
-    As in `[parameters]`, the slopes are those of the elements themselves, without the stiffness that a preload adds.
+    As in `[parameters]`, the slopes of an element do not include the stiffness that a preload adds.
     """
     bent = {one.name: one for one in curves if one.curve.is_nonlinear}
     slopes = {
@@ -52,7 +52,7 @@ def with_own_states(
         model: linear model without the internal states.
         parts: e parts, each with its suspension.
         rows: gains from the states to the deflections of the parts' suspensions, shape (e, n).
-        speeds: gains from the states to the rates of the deflections, shape (e, n).
+        speeds: gains from the states to the rates of the suspensions' deflections, shape (e, n).
         push: effect of forces along the suspensions on the derivatives of the states, shape (n, e).
         shown: effect of forces along the suspensions on the p outputs, shape (p, e).
     """

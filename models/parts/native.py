@@ -1,11 +1,11 @@
 """Representation of parts by MuJoCo's own elements: actuators and springs on a suspension's tendon, evaluated in every stage of
 RK4.
 
-One actuator represents one straight segment of a characteristic. The control of the actuator of a segment is zero. The bias of
-the actuator is affine in length or speed, and a `forcerange` clips the bias. The gain of the actuator stays 1. If the gain were
-minus the bias's slope over length, MuJoCo would interpret a positive slope over speed as a damping ratio. The suspension's own
-spring and damper remain in the model, and give the linearised force. The actuators of the segments add the deviation from this
-force.
+Each actuator represents one straight segment of a characteristic. The control of a segment's actuator is always zero. The bias
+of the actuator is affine in length or speed, and a `forcerange` clips the bias. The gain of the actuator stays 1. If the gain
+were minus the slope of the bias against length, MuJoCo would interpret a positive slope against speed as a damping ratio. The
+suspension's own spring and damper remain in the MuJoCo model, and give the linearised force. The actuators of the segments add
+the deviation of the force from the linearised force.
 
 A part that MuJoCo's own elements cannot represent gets a motor, which `sim.drive.part_steps` controls in every stage of RK4.
 """
@@ -46,7 +46,9 @@ class Tendon:
     prefix: str
 
     def add_pieces(self, name: str, pieces: Pieces, over_speed: bool = False) -> None:
-        """Adds segments of a force that pulls the ends of the tendon together, over its deflection or its speed."""
+        """Adds segments of a force that pulls the ends of the tendon together, as a function of the tendon's deflection or
+        speed.
+        """
         length = 0.0 if over_speed else self.rest
         for i in range(len(pieces.slope)):
             actuator = self._actuator(f"{self.prefix}{name}_{self.name}_{i + 1}")
@@ -60,7 +62,7 @@ class Tendon:
             actuator.forcerange = np.clip([-pieces.high[i], -pieces.low[i]], -LARGEST_FORCE, LARGEST_FORCE)
 
     def add_spring(self, name: str, slack: tuple[float, float], stiffness: Sequence[float]) -> None:
-        """Adds a spring in parallel with the tendon, f = -(a x + b x^2 + c x^3).
+        """Adds a spring in parallel with the tendon, whose force is f = -(a x + b x^2 + c x^3) at the extension x.
 
         The dead band is the range of lengths [m] in which the spring exerts no force.
         """
@@ -74,23 +76,24 @@ class Tendon:
                 spring.wrap_site(wrap.target.name)
 
     def add_motor(self) -> None:
-        """Adds a motor on the tendon. The control of the motor is a force that pulls the ends together [N]."""
+        """Adds a motor on the tendon. The control of the motor is a force that pulls the ends of the tendon together [N]."""
         self._actuator(f"{self.prefix}{MOTOR}{self.name}").gainprm[0] = -1.0
 
     def adjust_input(
         self, force: str, line: float, ramps: Sequence[tuple[float, float, int]], low: float, ratio: float, lag: float | None
     ) -> None:
-        """Replaces the motor of an input by a semi-active damper with the control c - c_s and the force -(c - c_s) h(v).
+        """Replaces the motor of an input by a semi-active damper with the control c - c_s and the force -(c - c_s) h(v) at the
+        velocity v.
 
         The function h is a straight line plus ramps that begin at knots. The line and each ramp have separate actuators, which
-        receive the same control. A ramp with the slope a and the knot k gives (c - c_min) a (v - k). The force of a ramp has
-        the same sign everywhere beyond the knot, and is clipped to zero before the knot.
+        receive the same control. A ramp with the slope a and the knot k gives the force (c - c_min) a (v - k). The force of a
+        ramp has the same sign everywhere beyond the knot, and is clipped to zero before the knot.
 
         Args:
-            force: name of the input's actuator.
-            line: slope of h at equilibrium.
+            force: name of the actuator of the input.
+            line: slope of the function h at equilibrium.
             ramps: knot [m/s], slope and side (1 or -1) of each ramp.
-            low: the smallest value of c - c_s [N s/m].
+            low: the smallest value of the control c - c_s [N s/m].
             ratio: motion ratio of the damper.
             lag: bandwidth of the valve [rad/s]; None for a valve without lag.
 
@@ -132,7 +135,7 @@ def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:
 
     Args:
         spec: MuJoCo model to which the sensors are added.
-        deflections: pairs of signal names: the new velocity, and the measured length.
+        deflections: pairs of signal names: the velocity to be measured, and the length that is already measured.
 
     Raises:
         InputError: a length is not measured by the sensor of a tendon or joint.

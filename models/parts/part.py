@@ -2,13 +2,13 @@
 
 The force F(d, v, z, u) of a part pulls the ends of its suspension together if it is positive. The arguments are the extension d
 of the suspension from equilibrium, its rate v (positive if the suspension extends), the part's internal states z, and its
-inputs u. Linear analysis uses the following linearisation at equilibrium,
+inputs u. Linear analysis uses the following linearisation of F at equilibrium,
 
     F = k d + c v + b v' + C z + g u,    z' = A z + (rows for d, v and u),
 
-and all simulations add the difference between the force and this linearisation. A new part is a class in a file of this folder,
-or a force element of `[parts]` in a file of `elements`. A new part also needs a line in `EXTENSIONS` of
-`models.common.extensions`.
+and all simulations add the difference between the force and its linearisation. A new part is a class in a file of the folder
+`models/parts`, or a force element of `[parts]` in a file of its subfolder `elements`. A new part also needs a line in
+`EXTENSIONS` of `models.common.extensions`.
 """
 
 from abc import ABC, abstractmethod
@@ -46,16 +46,17 @@ CURVE, BUMP_STOP = "curve", "bump stop"  # linear analysis no longer applies aft
 class Line:
     """Linearisation of a part with n internal states about equilibrium.
 
-    The part pulls with k d + c v + b v' + C z + g u; the rates of its internal states are linear, too.
+    The part pulls with k d + c v + b v' + C z + g u; the rates of its internal states z are also linear.
 
     Attributes:
         stiffness: k [N/m].
         damping: c [N s/m].
         gain: gain g, the force per unit of the input; 0 for a part without an input.
-        of_preload: contribution to k of a preload whose motion ratio changes with travel [N/m].
+        of_preload: contribution to k of a preload that acts through a motion ratio that changes with travel [N/m].
         inertance: b [kg].
-        of_states: gains C from the states to the force, shape (..., n); None for a part without states.
-        rates: gains from (z, d, v, u) to the rates z', shape (..., n, n + 3); None for a part without states.
+        of_states: gains C from the internal states to the force, shape (..., n); None for a part without states.
+        rates: gains from (z, d, v, u) to the rates z' of the internal states, shape (..., n, n + 3); None for a part without
+            states.
     """
 
     stiffness: Number = 0.0
@@ -78,7 +79,7 @@ class Line:
     def __call__(self, d: Array, v: Array, u: Array | float = 0.0, z: Array | None = None) -> Array:
         """Returns the linearised force without the force of the inertance [N], shape (...).
 
-        If the states `z` are omitted, they count as 0.
+        If the internal states `z` are omitted, they count as 0.
         """
         total: Any = None
         for slope, x in ((self.stiffness, d), (self.damping, v), (self.gain, u)):
@@ -90,7 +91,7 @@ class Line:
         return total if z is None or self.of_states is None else total + (self.of_states * z).sum(axis=-1)
 
     def rate(self, d: Array, v: Array, z: Array, u: Array | float = 0.0) -> Array:
-        """Returns the linearised rates of the states, shape (..., n)."""
+        """Returns the linearised rates of the internal states, shape (..., n)."""
         assert self.rates is not None, "a part with states"
         return np.matvec(self.rates, np.concatenate([z, np.stack(np.broadcast_arrays(d, v, u), axis=-1)], axis=-1))
 
@@ -103,8 +104,8 @@ class Limit:
         end: name of the event that occurs when the quantity reaches the limit, as in `sim.drive.regime`.
         of: the limited quantity: deflection or velocity of the suspension, or the difference between the force and its
             linearisation.
-        sign: sign of the quantity on the side with the limit; 0 if both sides have the limit.
-        value: limit of the magnitude [m, m/s or N].
+        sign: sign of the quantity on the side that has the limit; 0 if both sides have the limit.
+        value: limit of the quantity's magnitude [m, m/s or N].
     """
 
     end: str
@@ -116,8 +117,9 @@ class Limit:
 class Part(ABC):
     """Force along a suspension.
 
-    A part is a frozen dataclass. The numbers of a part may be arrays of shape (N,), for N simultaneous runs (`Stack`).
-    Deflections, velocities and forces have any shape (...). Arrays of internal states have an additional last axis.
+    Every part is a frozen dataclass. The numbers of a part may be arrays of shape (N,), for N simultaneous runs (`Stack`).
+    Arrays of deflections, velocities and forces have any shape (...). Arrays of internal states have one additional axis, the
+    last.
     """
 
     # Signals of the part's internal states, which are 0 in equilibrium; in a vehicle, their names also contain the element and
@@ -143,19 +145,19 @@ class Part(ABC):
 
         Args:
             d: extension of the suspension from equilibrium [m], shape (...).
-            v: rate of the extension [m/s], shape (...).
+            v: rate of the suspension's extension [m/s], shape (...).
             z: n internal states of the part, shape (..., n).
             u: input, shape (...).
         """
 
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the rates of the internal states, shape (..., n). For the arguments, see `pull`."""
+        """Returns the rates of the part's internal states, shape (..., n). For the arguments, see `pull`."""
         return np.zeros((*np.shape(d), 0))
 
     def divisor(self, u: Array | float) -> Any:
-        """Returns a positive divisor that is linear in the input:
+        """Returns a positive divisor that is linear in the input u:
 
-        `pull` times this divisor is a quadratic function of the input.
+        the product of `pull` and the divisor is a quadratic function of the input.
         """
         return 1.0
 
@@ -164,7 +166,9 @@ class Part(ABC):
         return np.zeros(np.shape(d))
 
     def inertance_at(self, d: Array) -> Number:
-        """Returns the inertance b of an additional force b v' [kg], shape () or (...). The kinetic energy is b v^2 / 2."""
+        """Returns the inertance b of an additional force b v' [kg], shape () or (...). The kinetic energy of the inertance is b
+        v^2 / 2.
+        """
         return 0.0
 
     def centrifugal(self, d: Array, v: Array) -> Array | float:
@@ -173,7 +177,7 @@ class Part(ABC):
 
     @cached_property
     def line(self) -> Line:
-        """Linearisation at equilibrium, computed by complex steps."""
+        """Linearisation of the part at equilibrium, computed by complex steps."""
         step, at = np.array(STEP * 1j), np.array(0j)
         along = ((step, at, at), (at, step, at), (at, at, step))[: 2 + self.inputs]
         n, inertance = len(self.states), self.inertance_at(np.zeros(()))
@@ -186,31 +190,31 @@ class Part(ABC):
         return Line(*slopes, inertance=inertance, of_states=np.stack(pulls, axis=-1), rates=np.stack(rates, axis=-1))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the force minus its linearisation, without inertance [N], shape (...).
+        """Returns the force of the part minus its linearisation, without inertance [N], shape (...).
 
         For the arguments, see `pull`.
         """
         return self.pull(d, v, z, u) - self.line(d, v, u, z)
 
     def rate_beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the difference between the rates of the internal states and their linearisation, shape (..., n).
+        """Returns the rates of the internal states minus their linearisation, shape (..., n).
 
         For the arguments, see `pull`.
         """
         return self.rate(d, v, z, u) - self.line.rate(d, v, z, u)
 
     def stored_beyond(self, d: Array, z: Any = None) -> Array:
-        """Returns the stored energy minus the energy of the linearised stiffness [J], shape (...)."""
+        """Returns the energy stored in the part, minus the energy of the linearised stiffness [J], shape (...)."""
         return self.stored(d, z) - self.line.stiffness * np.square(d) / 2
 
     @property
     def is_nonlinear(self) -> bool:
-        """False if the force equals its linearisation everywhere."""
+        """False if the force of the part equals its linearisation everywhere."""
         return True
 
     @property
     def range(self) -> float:
-        """Magnitude of the largest force for which the part is valid [N]; infinity if it is unknown."""
+        """Magnitude of the largest force for which the part is valid [N]; infinity if this force is unknown."""
         return np.inf if self.curve is None else self.curve.range
 
     @property
@@ -227,7 +231,7 @@ class Part(ABC):
         return bent or (bool(self.states) and bool(np.any(np.abs(self.rate_beyond(*at)) > KINKED * np.abs(self.rate(*at)))))
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the limits of the linear range.
+        """Returns the limits of the part's linear range.
 
         By default, the linear range ends if the force differs from its linearisation by the share `LEAVES` of the largest
         force.
@@ -236,9 +240,9 @@ class Part(ABC):
 
     @cached_property
     def curve(self) -> "ForceCurve | None":
-        """Characteristic of the force over its only argument, at `POINTS` points up to `reach`.
+        """Characteristic of the force as a function of its only argument, at `POINTS` points up to `reach`.
 
-        The value is None if the force has several arguments, or if `reach` is infinite.
+        The characteristic is None if the force has several arguments, or if `reach` is infinite.
         """
         if self.argument is None or not np.isfinite(self.reach):
             return None
@@ -249,15 +253,17 @@ class Part(ABC):
         return FEATURES.load("curves").ForceCurve(x, force, float(slope), self.words)
 
     def own_motion(self, d: Array, v: Array) -> tuple[Array, Array]:
-        """Converts travel [m] and velocity [m/s] at the wheel to those between the part's own ends, shapes (...)."""
+        """Converts travel [m] and velocity [m/s] at the wheel to the travel and velocity between the part's own ends, shapes
+        (...).
+        """
         return d, v
 
     def at_wheel(self, ratio: float) -> "Part | None":
-        """Returns the equivalent part at the wheel for a constant motion ratio; None if `AtRatio` must represent it."""
+        """Returns the equivalent part at the wheel for a constant motion ratio; None if an `AtRatio` must represent the part."""
         return self if ratio == 1 else None
 
     def write(self, tendon: "Tendon") -> None:
-        """Writes the nonlinear force into an MjSpec, with MuJoCo's own elements."""
+        """Writes the part's nonlinear force into an MjSpec, with MuJoCo's own elements."""
         raise NotImplementedError(f"{type(self).__name__} has no form native to MuJoCo")
 
     def write_input(self, tendon: "Tendon", by_motor: bool) -> None:
@@ -276,7 +282,8 @@ class Part(ABC):
 
     @classmethod
     def of(cls, vehicle: Any, place: "Suspension") -> Iterator[tuple["Part", str]]:
-        """Yields the parts of a suspension that sections other than `[parts]` describe, before their motion ratio is applied.
+        """Yields the parts of a suspension that are described by sections other than `[parts]`, before their motion ratio is
+        applied.
 
         Each part is paired with the parameter that contains its linearisation, or with an empty text.
         """
@@ -285,13 +292,13 @@ class Part(ABC):
 
 @dataclass(frozen=True, eq=False)
 class SuspensionPart:
-    """Part together with its place in a vehicle.
+    """Part of a suspension, together with its place in a vehicle.
 
     Attributes:
         place: suspension on which the part acts.
         part: the equivalent part that acts at the wheel, after the motion ratio is applied.
         parameter: parameter of the vehicle that contains the linearisation of the part; empty for an element of `[parts]`.
-        ratio: motion ratio in equilibrium.
+        ratio: motion ratio of the part in equilibrium.
         element: name of the section of `[parts]`; empty for a part from a different section.
     """
 
@@ -303,7 +310,7 @@ class SuspensionPart:
 
     @property
     def name(self) -> str:
-        """The parameter that contains the linearisation of the part, or the name of the section of `[parts]`."""
+        """The name of the parameter that contains the linearisation of the part, or the name of the section of `[parts]`."""
         return self.parameter or self.element
 
     @property
@@ -318,7 +325,7 @@ class SuspensionPart:
 
     @cached_property
     def added_line(self) -> Line:
-        """Linearisation of the part; zero if a parameter of the vehicle already contains it."""
+        """Linearisation of the part; zero if a parameter of the vehicle already contains the linearisation."""
         return Line() if self.parameter else self.part.line
 
     @cached_property
@@ -348,13 +355,13 @@ class SuspensionPart:
 
     @property
     def curve(self) -> "ForceCurve":
-        """The characteristic of the part, which must exist."""
+        """The characteristic of the part; the part must have one."""
         assert self.part.curve is not None, "a part with a curve"
         return self.part.curve
 
     @property
     def surface(self) -> "ForceSurface | None":
-        """The characteristic of a damper against velocity and deflection; None if the force has only one argument."""
+        """The characteristic of a damper as a function of velocity and deflection; None if the force has only one argument."""
 
         curve: Any = self.part.curve
         return curve if isinstance(curve, FEATURES.load("surfaces").ForceSurface) else None
@@ -371,18 +378,18 @@ def state_signals(part: Part, element: str, place: "Suspension") -> "tuple[Signa
 
 @dataclass(frozen=True)
 class SettablePart(Part):
-    """Damper whose coefficient a valve sets. The input of the damper is the coefficient minus the nominal coefficient [N s/m].
+    """Damper whose coefficient a valve sets. The input of the damper is its coefficient minus the nominal coefficient [N s/m].
 
     The control force that the damper replaces is defined relative to the force of the nominal damper. Numbers, forces and
-    velocities are those of the damper itself, before the motion ratio is applied. Only the methods of `Part` use forces and
+    velocities are those of the damper itself, before its motion ratio is applied. Only the methods of `Part` use forces and
     velocities at the wheel.
 
     Attributes:
         force: name of the control force that the damper replaces.
         ending: suffix of the signal names at the suspension of the damper.
         damper: semi-active damper of the vehicle file, with the limits of its coefficient.
-        nominal: coefficient in the linear model [N s/m].
-        ratio: motion ratio in equilibrium.
+        nominal: coefficient of the damper in the linear model [N s/m].
+        ratio: motion ratio of the part in equilibrium.
         nominal_curve: characteristic of the nominal damper, including a characteristic in parallel; None if both are straight.
     """
 
@@ -397,7 +404,7 @@ class SettablePart(Part):
 
     @property
     def coefficient(self) -> str:
-        """Name of the signal with the actual coefficient."""
+        """Name of the signal with the damper's actual coefficient."""
         return f"damping{self.ending}"
 
     @property
@@ -407,34 +414,36 @@ class SettablePart(Part):
 
     @property
     def low(self) -> float:
-        """Smallest coefficient minus the nominal coefficient [N s/m]."""
+        """Smallest coefficient of the damper minus the nominal coefficient [N s/m]."""
         return self.damper.c_min - self.nominal
 
     @property
     def high(self) -> float:
-        """Largest coefficient minus the nominal coefficient [N s/m]."""
+        """Largest coefficient of the damper minus the nominal coefficient [N s/m]."""
         return self.damper.c_max - self.nominal
 
     @property
     def slopes(self) -> tuple[float, float]:
-        """Smallest coefficient and steepest slope, both minus the nominal coefficient [N s/m]."""
+        """Smallest coefficient and steepest slope of the damper, both minus the nominal coefficient [N s/m]."""
         return self.low, self.steepest_slope - self.nominal
 
     @property
     def steepest_slope(self) -> float:
-        """Steepest slope of the damper at any setting [N s/m], without a characteristic that acts in parallel."""
+        """Steepest slope of the damper's force at any setting [N s/m], without a characteristic that acts in parallel."""
         pair = self.damper.pair
         return self.damper.c_max if pair is None else float(max(pair.soft.slopes.max(), pair.hard.slopes.max()))
 
     def shape(self, v: Array) -> Array:
-        """Returns h, the force per unit of the coefficient [m/s], at velocities of the damper itself [m/s], shape (...)."""
+        """Returns h, the force per unit of the coefficient [m/s], at velocities between the damper's own ends [m/s], shape
+        (...).
+        """
         return np.asarray(v) if self.damper.pair is None else self.damper.pair.shape(v)
 
     def force_at(self, v: Array, beyond: Array | float) -> Array:
-        """Returns the force [N], shape (...).
+        """Returns the damper's force [N], shape (...).
 
         Args:
-            v: velocities of the damper itself [m/s], shape (...).
+            v: velocities between the damper's own ends [m/s], shape (...).
             beyond: coefficients minus the nominal coefficient [N s/m], shape (...).
         """
         still = self.nominal * np.asarray(v) if self.nominal_curve is None else self.nominal_curve(v)
@@ -446,17 +455,17 @@ class Parts(tuple[SuspensionPart, ...]):
 
     @cached_property
     def with_curve(self) -> tuple[SuspensionPart, ...]:
-        """Parts that have a characteristic."""
+        """Parts of the vehicle that have a characteristic."""
         return tuple(one for one in self if one.part.curve is not None)
 
     @cached_property
     def nonlinear(self) -> bool:
-        """True if a force differs from its linearisation while no bump stop or other contact acts."""
+        """True if the force of a part differs from its linearisation while no bump stop or other contact acts."""
         return any(one.part.is_nonlinear and not one.part.contact for one in self)
 
     @cached_property
     def adjustable(self) -> tuple[SettablePart, ...]:
-        """Semi-active dampers, each with its motion ratio in equilibrium."""
+        """Semi-active dampers of the vehicle, each with its motion ratio in equilibrium."""
         own = ((getattr(one.part, "part", one.part), one.ratio) for one in self)
         return tuple(replace(part, ratio=ratio) for part, ratio in own if isinstance(part, SettablePart))
 
@@ -473,7 +482,9 @@ class Parts(tuple[SuspensionPart, ...]):
 
 @dataclass(frozen=True)
 class Straight(Part):
-    """Part whose force is the linearisation of the force of another part. Both parts have the same signals for their states."""
+    """Part whose force is the linearisation of the force of another part. The linearised part and the other part have the same
+    signals for their internal states.
+    """
 
     at_rest: Line
     own: "tuple[Signal, ...]" = ()
@@ -538,7 +549,7 @@ class Stack:
         return self._rows(lambda part, d, v, z, u: part.beyond(d, v, z, u) + part.line(d, v, 0.0, z), d, v, z, u)
 
     def inertance(self, d: Array) -> Array:
-        """Returns the inertances minus the linearised inertances, or the whole inertances if `line` is set [kg].
+        """Returns the inertances minus the linearised inertances or, if `line` is True, the whole inertances [kg].
 
         The shape is (..., N, k).
         """
@@ -546,9 +557,9 @@ class Stack:
         return self._rows(lambda part, d, *_: part.inertance_at(d) - least * part.line.inertance, d, d, None, 0.0)
 
     def rate(self, d: Array, v: Array, z: Any, u: Any = 0.0) -> Array:
-        """Returns the rates of the internal states, minus the linearised rates unless `line` is set.
+        """Returns the rates of the internal states; if `line` is not True, the linearised rates are subtracted.
 
-        Deflections and velocities have the shape (..., N, k), states the shape (..., N, k, n).
+        Arrays of deflections and velocities have the shape (..., N, k); arrays of states have the shape (..., N, k, n).
         """
         return self._rows(lambda part, *at: part.rate(*at) if self._line else part.rate_beyond(*at), d, v, z, u, z.shape)
 
@@ -581,9 +592,9 @@ def alike(one: Part, other: Part) -> bool:
 
 
 def merge_parts(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
-    """Combines parts that differ only in their numbers into one part, whose numbers are arrays of the given shape.
+    """Combines parts that differ only in their numbers into one part, whose numbers are arrays of the specified shape.
 
-    Returns None if the parts differ in anything else.
+    Returns None if the parts differ in more than their numbers.
     """
     first = parts[0]
     if all(part is first for part in parts):

@@ -8,7 +8,9 @@ from models.parts.ratio import AtRatio, Constant
 
 
 def parts_of(vehicle: Any) -> Parts:
-    """Returns all parts of a vehicle except its linear springs and dampers, as they act at the wheels, ordered by suspension."""
+    """Returns all parts of a vehicle, as they act at the wheels, except its linear springs and dampers; the parts are ordered
+    by suspension.
+    """
     placed, kind, classes = list[SuspensionPart](), vehicle.kind, PARTS.load_all().values()
     for place in kind.suspensions:
         rows = [(part, parameter, "") for one in classes for part, parameter in one.of(vehicle, place)]

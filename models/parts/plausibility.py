@@ -1,7 +1,7 @@
 """Warnings about springs, dampers and stops that probably have the wrong unit or the wrong sign.
 
-A warning appears if a number is about 30 times larger or smaller than usual. If mm and m, or N and kN, are confused, the number
-is wrong by a factor of 1000.
+A warning appears if a number is about 30 times larger or smaller than its usual value. If mm and m, or N and kN, are confused,
+the number is wrong by a factor of 1000.
 """
 
 import math
@@ -26,9 +26,9 @@ def damper_doubts(softest: ForceCurve, firmest: ForceCurve, critical: float | No
     """Yields warnings about the characteristic of a damper, or about the two characteristics of a semi-active damper.
 
     Args:
-        softest: characteristic at the softest setting.
-        firmest: characteristic at the firmest setting; for a passive damper, equal to `softest`.
-        critical: critical damping coefficient at the damper [N s/m]; None if it is unknown.
+        softest: characteristic at the softest setting of the damper.
+        firmest: characteristic at the firmest setting of the damper; for a passive damper, equal to `softest`.
+        critical: critical damping coefficient, converted to the damper's own ends [N s/m]; None if it is unknown.
     """
     v = min(-firmest.x[0], firmest.x[-1])
     if critical:
@@ -47,7 +47,7 @@ def damper_doubts(softest: ForceCurve, firmest: ForceCurve, critical: float | No
 
 
 def length_doubts(length: float) -> Iterator[str]:
-    """Yields a warning about the largest deflection in the table of a spring or stop [m]."""
+    """Yields a warning about the largest deflection [m] in the table of a spring or stop."""
     if not SHORTEST <= length <= LONGEST:
         yield f"the table ends at {round(length, 5):g} m; check that its deflections are in m"
 
@@ -57,7 +57,7 @@ def stop_doubts(stop: Stop, load: float | None) -> Iterator[str]:
 
     Args:
         stop: bump stop whose table is checked.
-        load: static load at the stop [N]; None if it is unknown.
+        load: static load at the stop [N]; None if the load is unknown.
     """
     if isinstance(law := stop.stiffness, StopTable):
         yield from length_doubts(stop.stroke + law.compression[-1])

@@ -1,13 +1,13 @@
-"""Parts with a motion ratio: the travel between the part's own ends, divided by the travel of the wheel.
+"""Parts with a motion ratio, which is the travel between the part's own ends divided by the travel of the wheel.
 
-The ratio is constant or depends on the travel. The part's own travel D(d) is the integral of the ratio r(d) from equilibrium.
-If the part carries the load W at the wheel in equilibrium, the force at the wheel is
+The motion ratio is constant or depends on the travel. The part's own travel D(d) is the integral of the ratio r(d) from
+equilibrium. If the part carries the load W at the wheel in equilibrium, the force at the wheel is
 
     F(d, v) = r(d) (f(D(d), r(d) v) - N) + W,    N = W / r(0),    F'(0) = r(0)^2 f'(0) - r'(0) N.
 
-If r' is different on the two sides of equilibrium, the linearisation uses the mean of both values. The force of an inertial
-part is b times the second derivative of its own travel D. At the wheel, the force of an inertial part is r^2 b v' + b r r' v^2,
-where v is the velocity at the wheel.
+If the derivative r' has different values on the two sides of equilibrium, the linearisation uses the mean of both values. The
+force of an inertial part with the inertance b is b times the second derivative of its own travel D. At the wheel, the force of
+an inertial part is r^2 b v' + b r r' v^2, where v is the velocity at the wheel.
 """
 
 import functools
@@ -29,7 +29,7 @@ FINE = 801  # number of points of a spring's characteristic as a function of tra
 
 @dataclass(frozen=True)
 class Constant:
-    """Motion ratio of 1, with the interface of a `RatioTable`."""
+    """Constant motion ratio of 1, with the interface of a `RatioTable`."""
 
     at_rest: ClassVar[float] = 1.0
     relative_slope: ClassVar[float] = 0.0
@@ -49,12 +49,12 @@ class Constant:
 
 @dataclass(frozen=True, eq=False)
 class AtRatio(Part):
-    """Part with a motion ratio.
+    """Part to which a motion ratio is applied.
 
     Attributes:
-        part: part before the motion ratio is applied, in terms of its own travel and force.
+        part: part before the motion ratio is applied, which uses the travel and force between its own ends.
         table: the motion ratio as a function of travel, or `Constant`.
-        scale: factor on the ratios of the table.
+        scale: factor by which the ratios of the table are multiplied.
         load: load W that the part carries at the wheel in equilibrium [N].
     """
 
@@ -137,7 +137,7 @@ class AtRatio(Part):
 
     @cached_property
     def range(self) -> float:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """See `Part.range`. The tables of the ratio and of the part limit the range."""
+        """See `Part.range`. The tables of the ratio and of the part limit the force."""
         if (curve := self.curve) is not None:
             return curve.range
         most = 1.0 if isinstance(self.table, Constant) else float(np.max(self.table.ratio))
@@ -147,7 +147,8 @@ class AtRatio(Part):
     def curve(self) -> ForceCurve | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """See `Part.curve`.
 
-        For a spring, the characteristic has all points of a fine table. For a damper, the characteristic is a `ForceSurface`.
+        For a spring, the characteristic is computed at the points of both tables and of a fine grid. For a damper, the
+        characteristic is a `ForceSurface`.
         """
         own = self.part.curve
         if own is None or isinstance(self.table, Constant):
@@ -160,7 +161,7 @@ class AtRatio(Part):
         return ForceCurve(x, force, float(self.line.stiffness), f"{own.words}, at its motion ratio")
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the limits of the part, converted to the wheel.
+        """Returns the limits of the part, converted to limits at the wheel.
 
         If the ratio changes with travel, the limit of a characteristic becomes a limit of the force, because the force then
         depends on deflection and velocity.
@@ -185,7 +186,7 @@ class AtRatio(Part):
 
 @dataclass(frozen=True, eq=False)
 class Sum(Part):
-    """Sum of two parts without states. At most one of the two parts has an input.
+    """Sum of the forces of two parts without states. At most one of the two parts has an input.
 
     Attributes:
         first: the first part, which may be a sum.
@@ -211,7 +212,8 @@ class Sum(Part):
 
 
 def together(parts: Sequence[Part]) -> Part | None:
-    """Combines parts with the same motion ratio as a function of travel into one part, so that the ratio is evaluated only once.
+    """Combines parts with the same motion ratio as a function of travel into one part, so that the ratio is evaluated only
+    once.
 
     Returns None if the motion ratios differ.
     """

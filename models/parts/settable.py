@@ -1,15 +1,16 @@
-"""Force elements whose voltage a controller sets, such as magnetorheological dampers. The elements replace force actuators.
+"""Force elements whose voltage a controller sets, such as magnetorheological dampers. The elements take the place of force
+actuators.
 
 An element pulls with F(d, v, z, u), where u is the voltage relative to the voltage without a command. The controller requests a
 force u* in addition to the force of the element without a command, as for other semi-active dampers
 (`models.characteristics.adjustable_range`). At each sample, the element receives a voltage between 0 and its largest voltage.
-With this voltage, the change of the force
+With the voltage that the element receives, the change of the force
 
     -(F(d, v, z, u) - F(d, v, z, 0))
 
-is as close as possible to u*, for the motion and the states at the sample. The voltage is held until the next sample of the
-controller. If several voltages give the same force, the element receives the voltage that is closest to the voltage without a
-command.
+is as close as possible to the requested force u*, for the motion and the states at the sample. The voltage is held constant
+until the next sample of the controller. If several voltages give the same force, the element receives the voltage that is
+closest to the voltage without a command.
 """
 
 from collections.abc import Mapping, Sequence
@@ -69,11 +70,11 @@ class ElementDamper(Damper):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SetElement(SettablePart):
-    """Element whose input is its voltage, before the motion ratio is applied.
+    """Force element whose input is its voltage, before the motion ratio is applied.
 
     Attributes:
         element: element whose voltage a controller sets.
-        without: the element without a command, or its linearisation.
+        without: the same element without a command, or the linearisation of this element.
     """
 
     element: Any
@@ -88,17 +89,17 @@ class SetElement(SettablePart):
 
     @property
     def coefficient(self) -> str:
-        """Name of the signal with the actual voltage."""
+        """Name of the signal with the element's actual voltage."""
         return f"voltage{self.ending}"
 
     @property
     def low(self) -> Number:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Smallest voltage relative to the voltage without a command [V]."""
+        """Smallest voltage of the element relative to the voltage without a command [V]."""
         return self.element.settable[0]
 
     @property
     def high(self) -> Number:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Largest voltage relative to the voltage without a command [V]."""
+        """Largest voltage of the element relative to the voltage without a command [V]."""
         return self.element.settable[1]
 
     @property
@@ -119,7 +120,7 @@ class SetElement(SettablePart):
 
         Args:
             d: extension of the suspension [m], shape (...).
-            v: rate of the extension [m/s], shape (...).
+            v: rate of the suspension's extension [m/s], shape (...).
             z: internal states, shape (..., n).
             u: voltages [V], relative to the voltage without a command.
             before: voltages whose pushing force is subtracted [V], relative to the voltage without a command.
@@ -127,15 +128,15 @@ class SetElement(SettablePart):
         return self.element.pull(d, v, z, before) - self.element.pull(d, v, z, u)
 
     def force_at(self, v: Array, beyond: Array | float) -> Array:
-        """See `SettablePart.force_at`. The comparison uses the forces after yield, without the forces of springs."""
+        """See `SettablePart.force_at`. The forces are those after yield, without the forces of springs."""
         return self.element.after_yield(v, beyond)
 
     def setting(self, force: Array, d: Array, v: Array, z: Any) -> Array:
-        """Returns the voltages at which the element comes closest to requested forces [V], shape (...).
+        """Returns the voltages at which the force of the element is closest to the requested forces [V], shape (...).
 
-        The voltages are relative to the voltage without a command. `pull` times `Part.divisor` is a quadratic function of the
-        voltage. Therefore, the voltages at which the pull equals the requested pull are roots of a quadratic equation. The
-        extremes of the pull are at the ends of the voltage range and at the roots of a second quadratic equation.
+        The voltages are relative to the voltage without a command. The product of `pull` and `Part.divisor` is a quadratic
+        function of the voltage. Therefore, the voltages at which the pull equals the requested pull are roots of a quadratic
+        equation. The extremes of the pull are at the ends of the voltage range and at the roots of a second quadratic equation.
         """
         low, high, pull = self.low, self.high, self.element.pull
         wanted, wide = pull(d, v, z, 0.0) - force, high - low
@@ -164,14 +165,16 @@ def _roots(a: Array, b: Array, c: Array) -> list[Array]:
 
 
 def set_element(damper: ElementDamper, place: Suspension, part: Part) -> SetElement:
-    """Returns the element at a suspension whose voltage a controller sets. `part` is the element or its linearisation."""
+    """Returns the force element at a suspension; a controller sets the voltage of the element. The argument `part` is the
+    element or its linearisation.
+    """
     return SetElement(place.force, place.ending, damper, damper.element.voltage, element=damper.element, without=part)
 
 
 def element_dampers(
     elements: Sequence[Any], suspensions: Sequence[Suspension], actuators: Mapping[str, Any], limited: Sequence[str]
 ) -> dict[str, ElementDamper]:
-    """Returns semi-active dampers for the elements whose voltage a controller sets.
+    """Returns the semi-active dampers that represent the elements whose voltage a controller sets.
 
     The key of each damper is the name of the control force that its element replaces.
 
@@ -182,7 +185,7 @@ def element_dampers(
         limited: keys of `[limits]` that limit force actuators.
 
     Raises:
-        InputError: the suspension has a different actuator or no actuator, or `[limits]` limits force actuators.
+        InputError: the suspension has no actuator or a different one, or `[limits]` limits force actuators.
     """
     dampers = dict[str, ElementDamper]()
     for one in elements:

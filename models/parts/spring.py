@@ -32,7 +32,7 @@ class SpringCurve(Characteristic):
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
         """Yields the spring of a suspension.
 
-        The spring has a characteristic, or is a linear spring with a motion ratio that changes with travel.
+        The spring has a characteristic in `[curves]`, or is linear with a motion ratio that changes with travel.
         """
         name, curve = place.stiffness, vehicle.curves.get(place.stiffness)
         if curve is not None:

@@ -1,4 +1,4 @@
-"""Damper whose force is a table of velocity and deflection, as given by `[curves] suspension_damping`."""
+"""Damper whose force is given by a table, as a function of velocity and deflection: `[curves] suspension_damping`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class SurfaceDamper(Characteristic):
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
-        """Yields the damper of a suspension if its table is over velocity and deflection."""
+        """Yields the damper of a suspension if a table gives its force as a function of velocity and deflection."""
         curve = vehicle.curves.get(place.damping)
         if isinstance(curve, ForceSurface):
             yield cls.with_slope(curve, vehicle.parameters[place.damping]), place.damping

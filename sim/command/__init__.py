@@ -1,1 +1,1 @@
-"""Parts shared by commands: options, the choice of controllers, logs, and viewers."""
+"""Code that several commands share: options, the choice of controllers, logs, and viewers."""

@@ -1,4 +1,4 @@
-"""Functions shared by commands that simulate controllers: choice of controllers, warnings, viewer and logs."""
+"""Functions that commands for the simulation of controllers share: choice of controllers, warnings, viewer and logs."""
 
 import argparse
 import sys
@@ -22,15 +22,15 @@ from synth.controller.loop_of import loop_of
 def controllers_of(
     vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], exported: Path | None = None
 ) -> list[AnyController]:
-    """Returns the controllers with these names, without executing any Python law.
+    """Returns the controllers with the names in `names`, without executing any Python law.
 
-    If a controller cannot be designed, this function omits it and prints a warning.
+    A controller that cannot be designed is omitted, and a warning is printed.
 
     Args:
         vehicle: vehicle to which the controllers belong.
         names: names of the controllers.
         design: function that designs a linear controller, see `runnable`.
-        exported: folder with exported code that replaces one of the controllers, or None.
+        exported: folder with exported code that replaces one of the controllers; None without exported code.
 
     Raises:
         InputError: no controller can be designed, the file of a law cannot be read, or the exported code does not match.
@@ -81,7 +81,7 @@ def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, li
 def warn_invalid_certificates(controllers: Iterable[AnyController]) -> None:
     """Prints a warning to stderr for each controller with an invalid certificate or missed goals.
 
-    The command also simulates the controllers with such a warning.
+    The command still simulates the controllers with a warning.
     """
     for one in controllers:
         if one.false_claims:
@@ -97,7 +97,7 @@ def warn_invalid_certificates(controllers: Iterable[AnyController]) -> None:
 
 
 def _first(claims: Sequence[str]) -> str:
-    """Returns a text with the first of several claims that do not hold, and the number of further such claims."""
+    """Returns a text with the first of several claims that do not hold, and the number of further claims that do not hold."""
     return f"{claims[0]}, and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
 
 
@@ -117,13 +117,13 @@ def record_command_runs(
     Args:
         options: options from the command's parser, including `--logs`.
         vehicle: vehicle of the runs.
-        controllers: names of the simulated controllers.
+        controllers: names of the controllers that were simulated.
         runs: function that returns the runs to record, by their names in the log; called only if logs are written.
         result: function that returns the result of the command, as for `--json`; called only if logs are written.
         measured: signals of a measured log during the time of the runs; None without a measured log.
 
     Returns:
-        Paths of the recorded files by type. All paths are None with `--no-logs`.
+        Paths of the recorded files by type. All paths of files are None with `--no-logs`.
     """
     nothing: dict[str, str | None] = dict.fromkeys(("mcap", *RECORDINGS))
     if options.logs is None:
@@ -139,7 +139,7 @@ def write_histories(
     """Writes the files of `--picture` and `--csv`; returns their paths by option name.
 
     Args:
-        options: options from the command's parser.
+        options: values of the options from the command's parser.
         runs: runs to draw and to write.
         where: description of the road, which follows the word "over" in the title of the picture.
         measured: signals of a measured log during the time of the runs, which the picture also shows; None without a measured
@@ -161,10 +161,10 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, hea
     """Returns the printed lines that list the recorded files and explain how to open them; empty if nothing was recorded.
 
     Args:
-        logs: paths of the recorded files by type, one mapping for each vehicle. For several vehicles, the function returns a
-            single line with the folder.
-        brief: True if the command prints only short results; no lines are then returned.
-        heading: True to print an empty line and a heading above the paths.
+        logs: paths of the recorded files by type of file, one mapping for each vehicle. For several vehicles, the function
+            returns a single line with the folder.
+        brief: True if the command prints only short results; in this case, no lines are returned.
+        heading: True to print an empty line and a heading above the paths of the files.
     """
     paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]
     if brief or not any(paths):
@@ -215,8 +215,8 @@ def run_named(
 ) -> list[Run]:
     """Simulates the controllers `names` over a road; returns the runs in the order of these names.
 
-    Controllers that cannot be designed are omitted. Warnings are printed before the runs start. Arguments and errors are those
-    of `controllers_of` and `run_controllers`.
+    Controllers that cannot be designed are omitted. Warnings about controllers are printed before the runs start. For the
+    arguments and errors, see `controllers_of` and `run_controllers`.
     """
     controllers = controllers_of(vehicle, names, runnable(vehicle, design, float(time[1])), exported)
     warn_invalid_certificates(controllers)

@@ -1,4 +1,4 @@
-"""Runs of one vehicle file in `sim.bump` or `sim.drive`."""
+"""Runs with one vehicle file in `sim.bump` or `sim.drive`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class VehicleRuns:
-    """The runs of one vehicle file.
+    """The runs with one vehicle file, and their results.
 
     Attributes:
         vehicle: vehicle that the file describes.
         title: title of the vehicle in printed results; empty if the command simulates only one vehicle.
         names: requested controllers.
-        runs: runs with the whole vehicle file, then runs in which one part of the file is omitted (`--without`).
+        runs: runs with the whole vehicle file, followed by runs in which one part of the file is omitted (`--without`).
         without: part of the vehicle file that each run omits, such as noise; an empty text for a run that omits no part.
         passive: MuJoCo's response of the passive vehicle.
         metrics: ride metrics of each run; empty if the ride is not measured.
@@ -48,17 +48,19 @@ class VehicleRuns:
 
     @cached_property
     def named_runs(self) -> list[Run]:
-        """The runs, each renamed to the name that printed results use."""
+        """The runs, renamed to the names that printed results use."""
         pairs = zip(self.runs, self.without, strict=True)
         return [_rename_run(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in pairs]
 
     def logged(self) -> dict[str, Run]:
-        """Returns the runs by the names that a log uses."""
+        """Returns the runs by the names that they have in a log."""
         return {f"{run.controller.name}{logged_variant(part)}": run for run, part in zip(self.runs, self.without, strict=True)}
 
     @property
     def objects(self) -> list[dict[str, Any]]:
-        """The runs as JSON objects. The title of the vehicle and the omitted part are included if they are not empty."""
+        """The runs as JSON objects. A JSON object includes the title of the vehicle and the omitted part if these are not
+        empty.
+        """
         return [
             RUN(run)
             | {"half_step": run.half_step and HALF_STEP(run.half_step)}

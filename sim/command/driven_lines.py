@@ -1,4 +1,6 @@
-"""Printed text of the commands that simulate a drive: `sim.bump` and `sim.drive`. With `--json`, this module is not loaded."""
+"""Printed text of the commands that simulate a drive: `sim.bump` and `sim.drive`. With `--json`, the module for printed text is
+not loaded.
+"""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -33,8 +35,8 @@ def driven_lines(
 ) -> list[str]:
     """Returns the printed lines of a command: title, findings, table of controllers, further lines, and verdicts.
 
-    With `-v`, the table comes first. For a single run, all details follow; for several runs, one table of norms and checks
-    follows.
+    With `-v`, the table of controllers comes first. For a single run, all details follow the table; for several runs, one table
+    of norms and checks follows.
 
     Args:
         options: options from the command's parser.
@@ -43,7 +45,7 @@ def driven_lines(
         scores: scores of the controllers, one for each row of the table of controllers.
         about: text that states in which part of the run the ride is measured.
         response: description of the step response, as in the result of the command; empty if the road is not a step.
-        below: lines to print between the table and the verdicts, such as paths of files.
+        below: lines to print between the table of controllers and the verdicts, such as paths of files.
     """
     shown, metrics = [run for each in driven for run in each.named_runs], [one for each in driven for one in each.metrics]
     road, verbose = shown[0].road, options.verbose
@@ -118,10 +120,10 @@ def _start_lines(options: Namespace, driven: Sequence[VehicleRuns]) -> list[str]
 
 
 def _finding_lines(runs: Sequence[Run], verbose: bool) -> list[str]:
-    """Returns the lines about runs that are printed above the table of controllers.
+    """Returns the lines about the runs that are printed above the table of controllers.
 
-    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, the lines contain only warnings and the
-    reasons why a run fails or diverges.
+    For at most `FEW` runs, the lines contain all findings and warnings. For more than `FEW` runs, the lines contain only
+    warnings and the reasons why a run fails or diverges.
     """
     few = len(runs) <= FEW
     said = [(run.controller.name, one) for run in runs for one in sentences(run, full=False) if one.detail == "normal"]

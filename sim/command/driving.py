@@ -1,4 +1,6 @@
-"""The common part of `sim.bump` and `sim.drive`: simulates controllers over one road, and compares with linear analysis."""
+"""The common part of `sim.bump` and `sim.drive`: simulates controllers over one road, and compares the runs with linear
+analysis.
+"""
 
 from argparse import Namespace
 from collections.abc import Callable, Mapping
@@ -35,7 +37,7 @@ def drive(
         options: options from the command's parser.
         road_of: function that returns the requested road; its arguments are a vehicle, the options and the sample times [s].
         where: function that returns a text that describes the road.
-        rides: True to measure the ride, and the step response if the road is a step.
+        rides: True to measure the ride and, if the road is a step, the step response.
 
     Raises:
         InputError: an option, a vehicle file, the road or the logs folder is invalid.
@@ -137,13 +139,13 @@ def drive(
 
 
 def read_vehicles(options: Namespace) -> dict[str, Vehicle]:
-    """Returns the vehicles of `--vehicle` by title.
+    """Returns the vehicles that `--vehicle` selects, by title.
 
-    The title of a single vehicle is empty. For several vehicles, the title is the file name, or the path if two file names are
-    equal.
+    If the command has a single vehicle, its title is empty. For several vehicles, the title of each vehicle is its file name,
+    or its path if two file names are equal.
 
     Raises:
-        InputError: a vehicle file cannot be read or is given twice.
+        InputError: a vehicle file cannot be read, or the user gives it twice.
     """
     given = options.vehicles
     vehicles = [with_start(print_remarks(read_vehicle(file)), vars(options).get("start", ())) for file in given]
@@ -172,7 +174,7 @@ def _check_variants(options: Namespace, vehicles: Mapping[str, Vehicle]) -> None
 
 
 def _drive_vehicle(options: Namespace, vehicle: Vehicle, title: str, names: list[str], road: Road, time: Array) -> VehicleRuns:
-    """Simulates the controllers of a vehicle file with the whole vehicle, then without each part that `--without` lists."""
+    """Simulates the controllers of a vehicle file with the whole vehicle, then again without each part that `--without` lists."""
     design = Designer(vehicle, search=False).design
     runs = list(comparison.run_named(vehicle, names, design, road, time, options.exported))
     drivers, parts = {run.controller.name: run.controller for run in runs}, [""] * len(runs)
@@ -185,10 +187,10 @@ def _drive_vehicle(options: Namespace, vehicle: Vehicle, title: str, names: list
 
 
 def _result(options: Namespace, each: VehicleRuns, measured: tuple[float, float | None]) -> dict[str, Any]:
-    """Returns the result for one vehicle, which its log and `--json` contain.
+    """Returns the result for one vehicle, as its log and the output of `--json` contain it.
 
     Args:
-        measured: first and last time of the ride measurement [s]; a last time of None is the end of the run.
+        measured: first and last time of the ride measurement [s]; if the last time is None, the measurement ends with the run.
     """
     road, time = each.runs[0].road, each.runs[0].prediction.time
     result: dict[str, Any] = {"runs": each.objects, "road": road.describe(), "timestep": options.timestep}

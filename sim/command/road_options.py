@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def add_vehicles(parser: Parser) -> None:
-    """Adds `--controller`, `--vehicle` (which may be repeated) and `--without`."""
+    """Adds the options `--controller`, `--vehicle` (which may be repeated) and `--without`."""
     parser.add_controller_and_vehicle(
         "default: all but published copies, such as I_printed", several="results of all vehicles are in one table"
     )
@@ -36,7 +36,7 @@ def add_vehicles(parser: Parser) -> None:
 
 
 def add_start(parser: Parser) -> None:
-    """Adds `--start`, which may be repeated."""
+    """Adds the option `--start`, which may be repeated."""
     parser.add_argument(
         "--start",
         action="append",
@@ -49,7 +49,7 @@ def add_start(parser: Parser) -> None:
 
 
 def with_start(vehicle: "Vehicle", texts: Sequence[str]) -> "Vehicle":
-    """Returns the vehicle with the initial state of `--start`; the vehicle itself if `texts` is empty."""
+    """Returns the vehicle with the initial state of `--start`; if `texts` is empty, the vehicle is returned unchanged."""
     if not texts:
         return vehicle
     start = dict[str, float | str]()
@@ -72,15 +72,15 @@ def omitted_controllers(vehicle: "Vehicle", given: Sequence[str] | None, names: 
     """Returns the controllers of a vehicle that a command omits by default; empty if `--controller` names controllers.
 
     Args:
-        vehicle: vehicle of the controllers.
-        given: names that the user gave with `--controller`.
+        vehicle: vehicle to which the controllers belong.
+        given: names of the controllers that the user gave with `--controller`.
         names: names of the controllers that the command simulates.
     """
     return [] if given else [name for name in vehicle.controller_names if name not in names]
 
 
 def left_out_lines(names: Sequence[str], one: bool = False) -> list[str]:
-    """Returns a line that lists the omitted controllers and explains how to include them; empty if none is omitted.
+    """Returns a line that lists the omitted controllers and explains how to include them; empty if no controller is omitted.
 
     Args:
         one: True if the command accepts only one controller; the line then explains how to choose a different controller.
@@ -91,7 +91,7 @@ def left_out_lines(names: Sequence[str], one: bool = False) -> list[str]:
 
 
 def add_run_options(parser: Parser, duration: float) -> None:
-    """Adds `--duration`, `--timestep`, `--as`, and the options for logs, viewers and output.
+    """Adds the options `--duration`, `--timestep` and `--as`, and the options for logs, viewers and output.
 
     Args:
         parser: parser of the command.
@@ -126,7 +126,7 @@ def add_run_options(parser: Parser, duration: float) -> None:
 
 
 def add_measured(parser: Parser) -> None:
-    """Adds `--beside`, the file of a measured log to compare with the runs, and the options that describe this log."""
+    """Adds `--beside`, which names the file of a measured log to compare with the runs, and the options that describe it."""
     parser.add_argument(
         "--beside",
         type=Path,
@@ -149,7 +149,9 @@ def add_measured(parser: Parser) -> None:
 
 
 def add_road(parser: Parser, default: str) -> None:
-    """Adds `--class`, `--seed`, `--road`, `--from` and `--speed`. `default` is the printed default of `--class`."""
+    """Adds the options `--class`, `--seed`, `--road`, `--from` and `--speed`. The argument `default` is the default of
+    `--class` that the help prints.
+    """
     parser.add_argument(
         "--class",
         dest="road_class",
@@ -169,7 +171,7 @@ def add_road(parser: Parser, default: str) -> None:
 
 
 def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":
-    """Returns the road that the options describe.
+    """Returns the road that the command-line options describe.
 
     Args:
         vehicle: vehicle that drives over the road.
@@ -177,7 +179,7 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
         time: sample times of the run [s], shape (T,).
 
     Raises:
-        InputError: options contradict each other, or the vehicle cannot be driven over this road.
+        InputError: options contradict each other, or the vehicle cannot be driven over the road.
     """
 
     choice = FEATURES.load("roads by name").choose_road(road_text(options))
@@ -195,7 +197,7 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
 def gaps(road: "Road", duration: float) -> list[str]:
     """Returns remarks about a road from a file: a wide gap between its points, or heights that are implausible for a road.
 
-    Only the part of the road that is driven within `duration` [s] is checked.
+    Only the part of the road over which the vehicle drives within `duration` [s] is checked.
     """
     from models.roads.road import Departure
 
@@ -209,13 +211,14 @@ def gaps(road: "Road", duration: float) -> list[str]:
 
 
 def starts_later(options: argparse.Namespace) -> bool:
-    """Returns True if the vehicle starts after the first point of a road from a file."""
+    """Returns True if the vehicle starts after the first point of a road that is read from a file."""
     file = FILE.fullmatch(split_off(road_text(options))[0])
     return file is not None and ":from=" in file["settings"]
 
 
 def end_lines(road: "Road", duration: float) -> list[str]:
-    """Returns the lines to print if a road from a file is shorter or longer than the run; empty if the lengths are equal.
+    """Returns the lines to print if a road from a file is shorter or longer than the run; empty if road and run have equal
+    lengths.
 
     Args:
         road: road over which the vehicle drives.
@@ -232,7 +235,7 @@ def end_lines(road: "Road", duration: float) -> list[str]:
 
 
 def road_text(options: argparse.Namespace) -> str:
-    """Returns the requested road as text in the syntax of `--road`, from `--class`, `--road` and `--from`."""
+    """Returns the road that `--class`, `--road` and `--from` request, as text in the syntax of `--road`."""
     if (start := vars(options)["from"]) is not None:
         road, loads = split_off(options.road or "")
         if (named_file(road) or ("", ""))[1] != "profile":

@@ -1,4 +1,4 @@
-"""The command that runs any of the studies.
+"""The command that runs a study of any type.
 
 The command reads the vehicle, designs the controllers, runs the study, writes files and logs, and prints text or JSON. The
 studies themselves are subclasses of `sim.studies.study.Study`.
@@ -86,7 +86,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
 
 
 def _designed_controllers(request: StudyRequest, several: bool) -> "Sequence[AnyController]":
-    """Returns the requested controllers.
+    """Returns the controllers that the user requested.
 
     If `several` is False, the study needs a single linear controller. If `several` is True, the controllers can be of any type.
     """

@@ -26,7 +26,7 @@ ENDING_TIME = 3.0  # s, longest time to wait until the process ends after a sign
 
 
 def check_display() -> None:
-    """Checks that the viewer's window can open. Commands call this function before a long run.
+    """Checks that the viewer's window can be opened. Commands call this function before a long run, so that they fail early.
 
     Raises:
         InputError: no display is available.
@@ -59,7 +59,9 @@ def open_viewer(recording: Path) -> None:
 
 
 def _reason(said: bytes) -> str:
-    """Returns the last line of a failed program's output, without colour codes. The last line states why the program failed."""
+    """Returns the last line of a failed program's output, without colour codes. The last line of the output states why the
+    program failed.
+    """
     lines = [COLOUR.sub("", line).strip() for line in said.decode(errors="replace").splitlines()]
     return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "no message")
 
@@ -67,7 +69,7 @@ def _reason(said: bytes) -> str:
 def serve_viewer(recording: Path) -> None:
     """Serves a recording in the web viewer until Ctrl-C or SIGTERM, and then ends the viewer's process.
 
-    The address is printed to stderr, because stdout is reserved for the result of the command.
+    The address of the web page is printed to stderr, because stdout is reserved for the result of the command.
 
     Raises:
         InputError: the viewer does not start, or ends by itself.
@@ -96,10 +98,11 @@ def serve_viewer(recording: Path) -> None:
 
 
 def _command() -> list[str]:
-    """Returns the command that starts Rerun's viewer: the executable of the installed package, otherwise `rerun`.
+    """Returns the command that starts Rerun's viewer: the executable of the installed package, if there is one; otherwise
+    `rerun`.
 
-    The executable is started directly. If the command started Rerun's Python wrapper instead, the viewer would continue to run
-    after the wrapper is terminated.
+    The executable is started directly, not through Rerun's Python wrapper. If the command started Rerun's Python wrapper
+    instead, the viewer would continue to run after the wrapper is terminated.
     """
     spec = importlib.util.find_spec("rerun_cli")
     if spec is None or not spec.submodule_search_locations:
@@ -110,7 +113,7 @@ def _command() -> list[str]:
 
 
 def _free_ports(count: int) -> list[int]:
-    """Returns the numbers of free ports. Several commands can therefore serve recordings at the same time."""
+    """Returns the numbers of free ports. Because the ports are free, several commands can serve recordings at the same time."""
     sockets = [socket.create_server((LOOPBACK, 0)) for _ in range(count)]
     ports = [one.getsockname()[1] for one in sockets]
     for one in sockets:

@@ -1,1 +1,3 @@
-"""Check of a log: repeats the logged runs, and compares signals, results and certificates. The check does not need a solver."""
+"""Check of a log: repeats the logged runs, and compares their signals, results and certificates with the log. The check does
+not need a solver.
+"""

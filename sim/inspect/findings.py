@@ -1,4 +1,4 @@
-"""Findings about a log: logged statements that hold or fail, and differences between logged and recomputed numbers."""
+"""Findings about a log: statements in the log that hold or fail, and differences between logged and recomputed numbers."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -25,10 +25,10 @@ HUGE = 1e150  # a loop whose linear response exceeds this value is unstable; the
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of the check of one claim.
+    """Result of the check of one claim in a log.
 
     Attributes:
-        part: part of the log to which the claim belongs, such as "certificate".
+        part: part of the log that contains the claim, such as "certificate".
         verdict: `HOLDS`, `FAILS`, `MISSING` (the log does not contain the proof), or `NOTE` (there is nothing to prove).
         text: printed sentence that states the result of the check.
     """
@@ -44,10 +44,11 @@ class Finding:
 
 
 def largest_difference(logged: Response, again: Response) -> tuple[float, str]:
-    """Returns the largest difference between a logged and a recomputed response, and the name of its signal.
+    """Returns the largest difference between a logged and a recomputed response, and the name of the signal with this
+    difference.
 
-    Each difference is relative to the peak of its signal, and infinite if a logged number is not finite. Samples after the time
-    at which the recomputed response exceeds `HUGE` are not compared.
+    Each difference is relative to the peak of its signal; it is infinite if a logged number is not finite. Samples are not
+    compared after the time at which the recomputed response exceeds `HUGE`.
     """
     huge = ~np.all(np.abs(again.values) < HUGE, axis=1)
     end = float(again.time[huge.argmax()]) if huge.any() else math.inf
@@ -70,9 +71,9 @@ def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def different(said: Any, now: Any) -> Iterator[str]:
-    """Compares a JSON value with the recomputed value; yields the paths at which they differ.
+    """Compares a JSON value with its recomputed value; yields the paths at which the two differ.
 
-    Numbers may have a relative difference of up to `SAME`.
+    Numbers count as equal up to a relative difference of `SAME`.
     """
     there, here = dict(leaves(said)), dict(leaves(now))
     for path, value in here.items():
@@ -93,5 +94,5 @@ def _equal(said: Any, now: Any, absolute: float) -> bool:
 
 
 def is_number(value: Any) -> bool:
-    """Returns True if a JSON value is a number. True and False are not numbers."""
+    """Returns True if a JSON value is a number. The values True and False do not count as numbers."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)

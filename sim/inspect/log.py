@@ -1,4 +1,4 @@
-"""Reads a log: the claims about each run, which are its logged properties and results, and the responses of the run.
+"""Reads a log: the claims about each run, which are its logged properties and results, and the responses of each run.
 
 `sim.recording.mcap_writer` and `sim.recording.run_records` write the log and define its topics and claims.
 """
@@ -24,7 +24,9 @@ GIVE = "give an .mcap file that a Roadproof command wrote"
 
 
 class Part(dict[str, Any]):
-    """Dictionary with a part of a log. Access to a missing key raises InputError with the name of this key."""
+    """Dictionary that contains a part of a log. Access to a missing key raises an InputError, whose text contains the name of
+    the key.
+    """
 
     def __missing__(self, key: str) -> NoReturn:
         raise InputError(f"the log has no {key!r}")
@@ -37,7 +39,7 @@ class Samples:
     Attributes:
         names: names of the S signals.
         times: times of the samples [ns], shape (T,).
-        values: signals in SI units, a row per sample and a column per signal, shape (T, S).
+        values: signals in SI units, with a row for each sample and a column for each signal, shape (T, S).
     """
 
     names: tuple[str, ...]
@@ -52,7 +54,7 @@ class RecordedRun:
     Attributes:
         name: name of the run.
         claims: logged properties and results of the run as text, by key; see `sim.recording.run_records.run_log`.
-        responses: logged responses by name, see `RESPONSES`.
+        responses: logged responses by name; see `RESPONSES`.
     """
 
     name: str
@@ -60,7 +62,7 @@ class RecordedRun:
     responses: Mapping[str, Samples]
 
     def claim(self, key: str) -> Any:
-        """Returns the value of a claim whose text is JSON."""
+        """Returns the value of a claim whose text is in JSON."""
         return json.loads(self.claims[key])
 
 
@@ -72,7 +74,7 @@ class Log:
         path: path of the file.
         metadata: metadata of the whole log as text, by key.
         attachments: contents of the attachments, by name.
-        runs: runs in the order of the file.
+        runs: logged runs in the order of the file.
         messages: total number of messages in all channels.
     """
 
@@ -84,17 +86,17 @@ class Log:
 
     @property
     def timestep(self) -> float:
-        """Timestep of the runs [s]."""
+        """Timestep of the logged runs [s]."""
         return float(self.metadata["timestep"])
 
     @property
     def versions(self) -> dict[str, str]:
-        """Versions of the packages that wrote the log, by name."""
+        """Versions of the packages that wrote the log, by name of the package."""
         return json.loads(self.metadata.get("versions", "{}"))
 
 
 def read_log(path: Path) -> Log:
-    """Reads a log. The MCAP library checks the checksums of its chunks, attachments and data.
+    """Reads a log. The MCAP library checks the checksums of the chunks, attachments and data of the file.
 
     Raises:
         InputError: the file cannot be read, is not an MCAP file, is damaged, has another format version, or was not written by
@@ -131,7 +133,9 @@ def read_log(path: Path) -> Log:
 
 
 def _samples(schema: Any, messages: list[Any]) -> Samples:
-    """Returns the numbers in all messages of a topic. `mcap_writer` writes all fields of each message, in the same order."""
+    """Returns the numbers in all messages of an MCAP topic. All messages have the same fields in the same order, because
+    `mcap_writer` always writes all fields.
+    """
     fields = FileDescriptorSet.FromString(schema.data).file[0].message_type[0].field
     times = np.array([message.log_time for message in messages], dtype=np.int64)
     tags = [1 if field.number < 16 else 2 for field in fields]  # number of bytes of the tag before each number

@@ -59,8 +59,8 @@ class InspectedRun:
     """Result of the check of a logged run.
 
     Attributes:
-        recorded_run: the checked run, as the log contains it.
-        findings: findings about all claims that the log makes about this run.
+        recorded_run: the checked run, as it is in the log.
+        findings: findings about all claims that the log makes about the run.
         again: the repeated run; None if the run could not be repeated.
     """
 
@@ -75,7 +75,7 @@ class Proof:
 
     Attributes:
         log: the checked log.
-        vehicle: vehicle that the attached vehicle file describes; None if this file cannot be read.
+        vehicle: vehicle that the attached vehicle file describes; None if the file cannot be read.
         findings: findings that concern the whole log, not a single run.
         runs: results of the checks of all logged runs.
     """
@@ -94,7 +94,7 @@ class Proof:
 
     @property
     def holds(self) -> bool:
-        """True if the log contains a run and proves all its claims."""
+        """True if the log contains at least one run and proves all its claims."""
         return bool(self.runs) and not self.broken
 
 
@@ -117,7 +117,7 @@ def prove(log: Log, kinds: Path | None = None) -> Proof:
 
 
 def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> InspectedRun:
-    """Checks all claims of one run. If a check fails, the checks that depend on it are omitted."""
+    """Checks all claims that a log makes about one run. If a check fails, the checks that depend on its result are omitted."""
     try:
         own = with_implementation_of(vehicle, recorded)
         controller = recorded_controller(log, own, recorded)
@@ -148,7 +148,7 @@ def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> InspectedRun:
 
 
 def _findings(part: str, check: Iterator[Finding]) -> list[Finding]:
-    """Returns the findings of a check. If the check raises an error, the only finding is this error."""
+    """Returns the findings that a check yields. If the check raises an error, the only finding is this error."""
     try:
         return list(check)
     except WRONG as error:
@@ -156,12 +156,13 @@ def _findings(part: str, check: Iterator[Finding]) -> list[Finding]:
 
 
 def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: RecordedRun, h: float) -> Iterator[Finding]:
-    """Checks the logged certificate against the control law and its proof, and checks the norm of the implemented loop.
+    """Checks the logged certificate against the control law and its proof, and checks the norm of the implemented
+    (sampled-data) loop.
 
     Args:
         vehicle: vehicle with the implementation (such as sample period and delay) that the run used.
         controller: controller of the run.
-        recorded: the run in the log.
+        recorded: the run as it is in the log.
         h: timestep with which the run was simulated [s].
     """
     certificate, record = controller.certificate, recorded.claim("certificate")
@@ -190,8 +191,8 @@ def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: Recor
 
 
 def _check_responses(recorded: RecordedRun, run: Run, physics: Response) -> Iterator[Finding]:
-    """Compares the logged responses (of MuJoCo, of the sampled and of the continuous loop, including the road) with the
-    repeated ones.
+    """Compares the logged responses (of MuJoCo, of the sampled and of the continuous loop, including the road) with those of
+    the repeated run.
     """
     states, end = controller_states(run.controller), run.broke_off[1] if run.broke_off else math.inf
     new = {MUJOCO: physics, SAMPLED: run.prediction.sampled, CONTINUOUS: run.prediction.continuous}
@@ -234,7 +235,7 @@ def _check_claims(recorded: RecordedRun, run: Run) -> Iterator[Finding]:
 
 
 def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding]:
-    """Compares the entry of this run in the attached result.json with the repeated run.
+    """Compares the entry of a logged run in the attached result.json with the repeated run.
 
     The comparison is omitted if result.json depends on runs that the log does not contain.
     """
@@ -282,14 +283,15 @@ def _compare_lines(part: str, source: str, said: Any, now: Any, what: str, holds
 
     Args:
         part: part of the log to which the findings belong.
-        source: words for the text of a finding, which state where the logged values come from.
-        said: values in the log, as a JSON value.
+        source: words that state, in the text of a finding, where the logged values come from.
+        said: logged values, as a JSON value.
         now: recomputed values, as a JSON value.
-        what: plural noun that the text uses for further differences.
+        what: plural noun with which the text of a finding counts further differences.
         holds: texts of the findings that are yielded if no value differs.
 
     Yields:
-        A finding about the first difference, with the number of further differences; otherwise a finding for each of `holds`.
+        A finding about the first difference, with the number of further differences; if no value differs, a finding for each of
+        `holds`.
     """
     wrong = list(different(said, now))
     if wrong:

@@ -1,7 +1,8 @@
 """Repetition of a logged run: reads vehicle, controller and road, predicts the run by linear analysis, and simulates it.
 
 The replay does not design controllers, so it does not need a solver. The log contains the proof of the certificate, and the
-law, from which the linear response is computed. A law in Python is not executed. Instead, MuJoCo applies the forces in the log.
+control law, from which the linear response is computed. A law in Python is not executed. MuJoCo applies the forces in the log
+instead of those of the law.
 """
 
 import json
@@ -60,7 +61,8 @@ def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
 def with_implementation_of(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     """Returns the vehicle with the actuators, initial state and implementation of a run.
 
-    A run may differ from the vehicle file in these settings. For example, `sim.margins` adds a delay.
+    The actuators, initial state and implementation of a run may differ from those in the vehicle file. For example, the runs of
+    `sim.margins` have an additional delay.
     """
     name = run.claims.get("name", "")
     if part := logged_part(run.name, name):
@@ -73,14 +75,14 @@ def with_implementation_of(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
 
 
 def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController:
-    """Returns the controller of a run.
+    """Returns the controller of a logged run.
 
-    The controller is taken from the vehicle file. The log contains the proof of the certificate and, if the law was designed,
+    The controller is read from the vehicle file. The log contains the proof of the certificate and, if the law was designed,
     the law itself. The text of a law in Python is attached to the log. If the run used exported code, the code is compiled
     again.
 
     Raises:
-        InputError: the vehicle file does not contain the controller, or the proof or the code is invalid.
+        InputError: the vehicle file does not contain the controller, or the proof or the exported code is invalid.
     """
     controller = _recorded_law(log, vehicle, run)
     if "code" not in run.claims:
@@ -97,7 +99,7 @@ def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController
     entry = vehicle.controllers.get(name)
 
     def linear(name: str) -> Controller:
-        """Returns a linear controller. The law is taken from the vehicle file or, if it was designed, from the log."""
+        """Returns a linear controller. The control law is read from the vehicle file or, if it was designed, from the log."""
         request = DesignRequest() if entry is None else entry.request
         signals = entry.measured if entry is not None else vehicle.linear_model.states if name == "state" else ()
         given = static_law(np.zeros((len(vehicle.linear_model.inputs), 0))) if name == "passive" else entry.law if entry else None
@@ -123,11 +125,11 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyControll
     Args:
         log: log that contains the run or its vehicle file.
         run: logged run.
-        vehicle: vehicle of the run, see `with_implementation_of`.
-        controller: controller of the run, see `recorded_controller`.
+        vehicle: vehicle of the run; see `with_implementation_of`.
+        controller: controller of the run; see `recorded_controller`.
 
     Returns:
-        The repeated run with its verdict and energy balance, and MuJoCo's response in this run.
+        The repeated run with its verdict and energy balance, and MuJoCo's response in the repeated run.
 
     Raises:
         InputError: the logged road or timestep is invalid, or the log lacks responses or forces.
@@ -160,10 +162,10 @@ def as_response(vehicle: Vehicle, run: RecordedRun, name: str, timestep: float, 
         run: logged run.
         name: name of the response, one of `RESPONSES`.
         timestep: timestep of the run [s].
-        states: signals that represent the states of the controller, see `controller_states`.
+        states: signals that represent the states of the controller; see `controller_states`.
 
     Raises:
-        InputError: the log does not contain this response, or its signals are not those of the vehicle.
+        InputError: the log does not contain the response, or the signals in the log are not those of the vehicle.
     """
     logged, signals = run.responses[name], vehicle.kind.signals
     if len(logged.names) != len(signals):

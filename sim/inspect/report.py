@@ -41,11 +41,12 @@ RECORD = Record[Proof](
 
 
 def describe(proof: Proof, in_table: bool = False) -> Document:
-    """Returns the printed document: the log, the findings about log and runs, and whether all claims in the log are proved.
+    """Returns the printed document: the log, the findings about the log and its runs, and whether all claims in the log are
+    proved.
 
     Args:
-        proof: result of the check: the log and all findings.
-        in_table: True for one table that contains all runs instead of a document about each run.
+        proof: result of the check, with the log and all findings.
+        in_table: True for one table that contains all runs, instead of a document about each run.
     """
     log, vehicle = proof.log, proof.vehicle
     about = [log.metadata.get("command_line", ""), f"vehicle type {vehicle.kind.name}" if vehicle else "vehicle type unknown"]
@@ -76,7 +77,7 @@ def _describe_together(runs: Sequence[InspectedRun]) -> Document:
 
 
 def _describe_run(one: InspectedRun) -> Document:
-    """Returns the document about a logged run: verdict, samples, road, control law and findings."""
+    """Returns the document about a logged run: its verdict, samples, road, control law and findings."""
     run, title, about = one.again, f"run {one.recorded_run.name}", []
     if run is not None:
         time, controller = run.prediction.time, run.controller
@@ -89,9 +90,9 @@ def _describe_run(one: InspectedRun) -> Document:
 
 
 def _statements(findings: Sequence[Finding]) -> tuple[Statement, ...]:
-    """Returns findings as statements: first a list of the parts that hold, then the other findings.
+    """Returns findings as statements: first a list of the parts of the log that hold, then the other findings.
 
-    `-v` also prints each finding that holds.
+    With `-v`, each finding that holds is printed, too.
     """
     held = [one for one in findings if one.verdict == HOLDS]
     others = [one for one in findings if one.verdict != HOLDS]
@@ -103,7 +104,9 @@ def _statements(findings: Sequence[Finding]) -> tuple[Statement, ...]:
 
 
 def short_line(proof: Proof) -> list[str]:
-    """Returns printed lines about one of several logs: whether all its claims are proved, and which parts are not."""
+    """Returns the printed lines about one of several logs: whether all its claims are proved, and which parts of the log are
+    not.
+    """
     if proof.holds:
         return [Whole(f"still proves    {proof.log.path}")]
     return [Whole(f"DOES NOT PROVE  {proof.log.path}"), *wrap_text(", ".join(proof.broken), "  ", 4)]

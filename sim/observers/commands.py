@@ -1,10 +1,10 @@
-"""Compares the commands of a run with its control law, which is evaluated at every sample for the measurements of the run.
+"""Compares the commands of a run with the control law, which is evaluated at every sample for the measurements of the run.
 
-At each sample, the law is evaluated with the measurements of the run and the recorded states of the law. An error at one sample
-therefore cannot hide an error at another sample. Three things are compared. The measurements must be the run's signals at the
-sample, to which noise and quantisation are added. The commands must be those of the law, within the ranges of semi-active
-dampers. Each command must act `delay` samples after its measurements. A Python control law, an FMU or exported code is started
-again and receives the measurements of the run.
+At each sample, the law is evaluated with the measurements of the run and the recorded states of the law. Because each sample is
+evaluated separately, an error at one sample cannot hide an error at another sample. The module makes three comparisons. The
+measurements must be the run's signals at the sample, to which noise and quantisation are added. The commands must be those of
+the law, within the ranges of semi-active dampers. Each command must act `delay` samples after its measurements. A Python
+control law, an FMU or exported code is started again and receives the measurements of the run.
 """
 
 from collections.abc import Iterator
@@ -43,14 +43,14 @@ Difference = tuple[str, Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """Samples of one controller that are compared.
+    """Samples of one controller whose commands are compared with the control law.
 
     Attributes:
         due: indices of the time steps at which the controller takes the K samples.
         period: number of time steps per sample.
         y: measurements that the law receives, shape (K, q).
         closing_velocities: closing velocities of the suspensions [m/s], shape (K, m); (K, 0) without semi-active dampers.
-        states: states of a linear law at the samples, in its discrete form, shape (K, k).
+        states: states of a linear law at the samples, in the discrete form of the law, shape (K, k).
     """
 
     due: Array
@@ -101,7 +101,7 @@ def compare_commands(controller: AnyController, road: RoadInput, recording: Reco
 
 
 def _worst(differences: list[Difference], vehicle: Vehicle) -> CommandAgreement:
-    """Returns the agreement for the signal whose difference is largest relative to its allowed difference."""
+    """Returns the agreement for the signal whose difference is largest relative to the allowed difference of the signal."""
     worst = CommandAgreement(0.0, EXACT, vehicle.linear_model.inputs[0], np.inf)
     since = np.inf
     for name, times, far, allowed in differences:
@@ -120,8 +120,8 @@ def _worst(differences: list[Difference], vehicle: Vehicle) -> CommandAgreement:
 def _readings(controller: AnyController, road: RoadInput, recording: Recording, due: Array) -> Iterator[Difference]:
     """Yields the differences between the measurements and the run's signals at the samples.
 
-    An acceleration is measured before the new force and load act. Accelerations are therefore compared by `sim.observers.steps`
-    instead.
+    An acceleration is measured before the new force and the new load act. Accelerations are therefore compared by
+    `sim.observers.steps`.
     """
     physics = from_steady(road, recording.response)
     rounded = roundings(road.vehicle, None)
@@ -143,7 +143,7 @@ def _readings(controller: AnyController, road: RoadInput, recording: Recording, 
 def _commands(
     controller: AnyController, road: RoadInput, samples: _Samples, recording: Recording, count: int, late: int
 ) -> Iterator[Difference]:
-    """Yields the differences between the commands of the run and of the law; for a linear law, also between the states."""
+    """Yields the differences between the commands of the run and those of the law; for a linear law, also between the states."""
     vehicle, times = road.vehicle, road.time[:count]
     inputs = vehicle.linear_model.inputs
     names = (*inputs, *(f"missing {name}" for name in inputs))
@@ -171,13 +171,13 @@ def _commands(
 
 
 def _limit_commands(limiter: CommandLimiter, requested: Array, logged: Array) -> Array:
-    """Returns the rate-limited command of each sample, shape (K, m).
+    """Returns the command at each sample after limiting the rate, shape (K, m).
 
-    Each command starts from the logged command of the previous sample.
+    Each command is limited relative to the logged command of the previous sample.
 
     Args:
-        logged: commands that have acted in the run, by sample, shape (.., m). Commands after the last logged one start from the
-            commands that this function computes.
+        logged: commands that acted in the run, by sample, shape (.., m). After the last logged command, each command starts
+            from the previous command that this function computed.
     """
     before = np.zeros_like(requested)
     before[1 : len(logged) + 1] = logged[: max(len(before) - 1, 0)]
@@ -189,11 +189,11 @@ def _limit_commands(limiter: CommandLimiter, requested: Array, logged: Array) ->
 def _linear(
     controller: Controller, road: RoadInput, samples: _Samples, limiter: CommandLimiter | None, logged: Array
 ) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Returns a linear law's commands, shape (K, c), and its next states, shape (K, k), each with the allowed differences.
+    """Returns a linear law's commands, shape (K, c), and its next states, shape (K, k), each with its allowed differences.
 
     Args:
-        limiter: rate limiter of the commands; None if their rate is not limited.
-        logged: commands that have acted in the run, see `_limit_commands`.
+        limiter: rate limiter of the commands; None if the rate of the commands is not limited.
+        logged: commands that acted in the run; see `_limit_commands`.
     """
     vehicle, h, y, x = road.vehicle, road.timestep, samples.y, samples.states
     law = controller.law.sampled(samples.period * h)
@@ -235,8 +235,8 @@ def _semi_active(controller: "SemiActive", vehicle: Vehicle, samples: _Samples) 
 
 
 def _again(controller: AnyController, road: RoadInput, samples: _Samples) -> Array:
-    """Starts a Python control law, an FMU or exported code again. Returns the law's commands for the measurements, shape (K,
-    c).
+    """Starts a Python control law, an FMU or exported code again. Returns the law's commands for the measurements of the run,
+    shape (K, c).
     """
 
     vehicle, h = road.vehicle, road.timestep

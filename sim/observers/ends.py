@@ -19,8 +19,8 @@ class RunEnd:
     Attributes:
         times: time at which each event in `REGIME_ENDS` first occurs [s], shape (E,); infinity for an event that does not
             occur.
-        diverged: time at which the run diverged [s]; infinity if it did not diverge.
-        law_diverged: True if the run diverged only because of the states of its law.
+        diverged: time at which the run diverged [s]; infinity if the run did not diverge.
+        law_diverged: True if the run diverged only because the states of its control law diverged.
     """
 
     times: Array
@@ -34,7 +34,7 @@ class RunEnd:
 
     @cached_property
     def until(self) -> float:
-        """Time until which the run is linear [s]; infinity if it is linear to the end."""
+        """Time until which the run is linear [s]; infinity if the run is linear to the end."""
         return min(float(self.times.min()), self.diverged)
 
     @property
@@ -47,7 +47,9 @@ class RunEnd:
 
     @property
     def broke_off(self) -> str | None:
-        """Event after which all results are meaningless: a flat tyre, `DIVERGENCE` or `LAW_OVERFLOW`; otherwise None."""
+        """Event after which all results of the run are meaningless: a flat tyre, `DIVERGENCE` or `LAW_OVERFLOW`; None without
+        such an event.
+        """
         if self.flat < self.diverged:
             return FLAT.name
         return None if math.isinf(self.diverged) else LAW_OVERFLOW if self.law_diverged else DIVERGENCE
@@ -57,14 +59,14 @@ class Ends:
     """Detects the events that end the linear regime in N runs."""
 
     def __init__(self, batch: Batch) -> None:
-        """Prepares the detection for the runs of a batch."""
+        """Prepares the detection of events for the runs of a batch."""
         laws = [one.has_anti_windup for one in batch.drivers]
         self._batch, self._detector = batch, EndDetector(batch.vehicles, batch.time, anti_windup=laws)
 
     @property
     def until(self) -> Array:
-        """Time until which each run is linear [s], according to the blocks so far, shape (N,); infinity if no limit was
-        reached.
+        """Time until which each run is linear [s], according to the blocks of samples received so far, shape (N,); infinity if
+        no limit was reached.
         """
         return np.minimum(self._detector.first, self._batch.diverged)
 

@@ -1,36 +1,39 @@
 """Energy balance of a run: work of road and actuators compared with stored and dissipated energy.
 
-The balance needs no reference response. MuJoCo keeps the road height constant within a step, so the road does work only between
-the steps. Between two steps, the road height jumps, which changes the energy of the tyre springs. Within a step, the stored
-energy changes by the work of actuators and loads, minus the energy that the dampers dissipate:
+The energy balance needs no reference response. MuJoCo keeps the road height constant within a step, so the road does work only
+between the steps. Between two steps, the road height jumps, which changes the energy of the tyre springs. Within a step, the
+stored energy changes by the work of actuators and loads, minus the energy that the dampers dissipate:
 
     E[k+1, road k] - E[k, road k] = sum of integral f_a l_a' dt + work of loads - sum of integral c_j l_j'^2 dt,
 
-Here E is the kinetic and potential energy. The residual of the energy balance is due to errors of the integrator and of the
-integrals. The integrals use Simpson's rule. The values in the middle of a step are those of the cubic (Hermite) through the
-lengths l and rates l' at both ends. The slope of this cubic in the middle has an error of fourth order in the step. If every
-spring is linear in its length, the residual is therefore of order 4, as for RK4. A spring may start or stop acting within a
-step, for example if a tyre leaves the road. The force then has a kink, and the residual is only of about second order. The
-knots of characteristics also cause kinks in the force.
+The symbol E denotes the kinetic and potential energy. The residual of the energy balance is caused by errors of the integrator
+and of the numerical integrals. The integrals are computed with Simpson's rule. The values in the middle of a step are those of
+the cubic Hermite polynomial through the lengths l and rates l' at both ends of the step. The slope of the cubic polynomial in
+the middle of the step has an error of fourth order in the step. If every spring is linear in its length, the residual is
+therefore of fourth order in the step, as for RK4. A spring may start or stop acting within a step, for example if a tyre leaves
+the road. If a spring starts or stops acting, its force has a kink, and the residual is only of about second order. Knots of
+characteristics also cause kinks in the force.
 
-E comes from the vehicle's own equations (`StoredEnergy`), with the masses, inertias, weights and linear springs of the vehicle
-file. The states come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore causes a residual. Any force in MuJoCo
-that the vehicle does not have also causes a residual. If the equations of a vehicle type do not include energy, MuJoCo computes
-E, and only the comparison with the linear model checks the masses. Nonlinear suspension forces, bump stops and the largest
-force of an actuator always come from the vehicle file. The coefficients of linear dampers come from the MuJoCo model.
+The energy E is computed with the vehicle's own equations (`StoredEnergy`), with the masses, inertias, weights and linear
+springs of the vehicle file. The states for the energy come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore
+causes a residual. A force in MuJoCo that is not in the vehicle's equations also causes a residual. If the equations of a
+vehicle type do not include energy, MuJoCo computes E, and only the comparison with the linear model checks the masses.
+Nonlinear suspension forces, bump stops and the largest force of an actuator always come from the vehicle file. The coefficients
+of linear dampers come from the MuJoCo model.
 
 The work of an actuator is computed along the deflection of its suspension. If an actuator of the MuJoCo model acts on one end
-only, or through a gear, this also causes a residual. The work of an actuator without a suspension, which acts against the ground,
-is computed along MuJoCo's actuator. For such an actuator, only the comparison with the linear model shows whether it acts
-correctly in the MuJoCo model. The force that a semi-active damper adds to its nominal force is -d l'. The coefficient d is held
-over a step, or lags behind its command. The work of this force is also computed with Simpson's rule. If a controller sets the
-voltage of an element of `[parts]`, the energy stored in the element depends on its present voltage. A change of the voltage
+only, or through a gear, the energy balance has a residual, too. The work of an actuator without a suspension, which acts
+against the ground, is computed along MuJoCo's actuator. For an actuator without a suspension, only the comparison with the
+linear model shows whether it acts correctly in the MuJoCo model. The force that a semi-active damper adds to its nominal force
+is -d l', where l' is the rate of the damper's length. The coefficient d of the added force is held constant during a step, or
+lags behind its command. The work of the added damper force is also computed with Simpson's rule. If a controller sets the
+voltage of an element of `[parts]`, the energy stored in the element depends on the present voltage. A change of the voltage
 therefore does work. The work of the coil that sets the voltage is counted as work of the actuator. A separate check of force
 and speed at every sample confirms that a damper dissipates energy for every commanded coefficient or voltage.
 
-The residual is given relative to the turnover. The turnover is the sum of the energy that the dampers dissipate, the energy that
-the actuators supply and absorb, and the largest kinetic energy. The work of lifting the weight is excluded, because it would hide
-small residuals.
+The residual is given relative to the turnover of energy. The turnover is the sum of the energy that the dampers dissipate, the
+energy that the actuators supply and absorb, and the largest kinetic energy. The turnover excludes the work of lifting the
+weight, because this work would hide small residuals.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -78,7 +81,7 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
 
     Args:
         run: recording of the MuJoCo run whose energy is balanced.
-        until: time at which the run becomes invalid [s], if this is before it diverged.
+        until: time at which the run becomes invalid [s], if the run becomes invalid before it diverges.
     """
     vehicle, road = run.vehicle, run.input
     count = int(np.searchsorted(road.time, min(until, run.diverged)))
@@ -138,7 +141,9 @@ def _elements(vehicle: Vehicle) -> "Sequence[SetColumn]":
 
 
 def _stored_energy(one: "SuspensionPart", deflection: Array, z: Array | None) -> Array:
-    """Returns the energy stored in a part at deflections and states [J], shape (...), without the vehicle's linear spring."""
+    """Returns the energy stored in a part at the supplied deflections and states [J], shape (...), without the vehicle's linear
+    spring.
+    """
     return one.part.stored_beyond(deflection, z) + one.added_line.stiffness * np.square(deflection) / 2
 
 
@@ -148,10 +153,10 @@ def _kinetic(one: "SuspensionPart", deflection: Array, speed: Array) -> Array | 
 
 
 def _by_coil(one: "SetElement", response: Response, z: Array) -> tuple[Array, Array, Array]:
-    """Returns the work of an element's coil, and the energy stored because its voltage is not the nominal one.
+    """Returns the work of an element's coil, and the energy that is stored because the element's voltage is not nominal.
 
-    The result contains the work during each step and at the end of each step [J], shapes (T - 1,), and the energy at the samples
-    [J], shape (T,).
+    The work is that during each step and at the end of each step [J], shapes (T - 1,); the energy is that at the samples [J],
+    shape (T,).
 
     A change of the voltage changes the energy that the hysteresis stores.
     """
@@ -168,9 +173,9 @@ def _by_coil(one: "SetElement", response: Response, z: Array) -> tuple[Array, Ar
 def _lost_energy(
     one: "SuspensionPart", length: "_Length", z: Array | None, inputs: Sequence[Array | float] = (0.0,) * 3
 ) -> Array | float:
-    """Returns the energy that a part dissipates over every step [J], shape (T - 1,).
+    """Returns the energy that a part dissipates in every step [J], shape (T - 1,).
 
-    The vehicle's linear damper and the force of an input are excluded; their work is computed separately.
+    The vehicle's linear damper and the force of an input are excluded, because their work is computed separately.
 
     Args:
         inputs: setting of a voltage-controlled element minus its nominal setting, at the start, in the middle and at the end of
@@ -192,13 +197,13 @@ def _lost_energy(
 
 @dataclass(frozen=True, eq=False)
 class _Length:
-    """A length, such as that of a tendon, over the T - 1 steps of a run.
+    """A length in the model, such as that of a tendon, during the T - 1 steps of a run.
 
     Attributes:
-        d: deflection from equilibrium at the samples, for the road height in the step that begins at each sample [m], shape
+        d: deflection from equilibrium at each sample, for the road height in the step that begins at the sample [m], shape
             (T,).
         v: rate of the deflection [m/s], shape (T,).
-        after: deflection at the end of every step, for the road height in this step [m], shape (T - 1,).
+        after: deflection at the end of every step, for the road height in the same step [m], shape (T - 1,).
         h: duration of a step [s].
     """
 
@@ -209,7 +214,7 @@ class _Length:
 
     @cached_property
     def stages(self) -> tuple[tuple[Array, Array], ...]:
-        """Deflection and rate at the start, in the middle and at the end of every step, shapes (T - 1,)."""
+        """Deflection and its rate at the start, in the middle and at the end of every step, shapes (T - 1,)."""
         (d, v), w, h = (self.d[:-1], self.v[:-1]), self.v[1:], self.h
         grown = self.after - d
         return (d, v), (d + grown / 2 + h / 8 * (v - w), 1.5 * grown / h - (v + w) / 4), (self.after, w)
@@ -221,11 +226,11 @@ class _Length:
 
 
 def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: Array) -> tuple[Array, float | None]:
-    """Returns the work of every input over every step [J], shape (T - 1, m), and the value of `Energy.least`.
+    """Returns the work of every input in every step [J], shape (T - 1, m), and the value of `Energy.least`.
 
     Args:
-        response: simulated signals at the T samples.
-        requested: forces that the controller requested, see `Recording.commands`.
+        response: simulated signals at the T samples of the run.
+        requested: forces that the controller requested; see `Recording.commands`.
     """
     inputs, dampers, least = vehicle.linear_model.inputs, {one.force: one for one in vehicle.parts.adjustable}, []
     forces = np.stack([response[name] for name in inputs], axis=-1)
@@ -255,13 +260,17 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
 
 
 def _powers(one: "SettablePart", response: Response, speeds: Sequence[Array], h: float) -> list[Array]:
-    """Returns a damper's power minus its nominal power at start, middle and end of each step [W], shape (T - 1,) each."""
+    """Returns a damper's power minus its nominal power at the start, in the middle and at the end of each step [W], shape (T -
+    1,) each.
+    """
     settings = _settings(one, response, h)
     return [-c * v * one.shape(v) for c, v in zip(settings, speeds, strict=True)]
 
 
 def _settings(one: "SettablePart", response: Response, h: float) -> tuple[Array, Array, Array]:
-    """Returns a damper's setting minus its nominal setting at start, middle and end of each step, shape (T - 1,) each."""
+    """Returns a damper's setting minus its nominal setting at the start, in the middle and at the end of each step, shape (T -
+    1,) each.
+    """
     beyond, bandwidth = response[one.coefficient] - one.nominal, one.damper.bandwidth
     before, after = beyond[:-1], beyond[1:] if bandwidth else beyond[:-1]
     share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
@@ -271,7 +280,7 @@ def _settings(one: "SettablePart", response: Response, h: float) -> tuple[Array,
 def _by_tyres(path: "_Path", road: RoadInput) -> tuple[Array, Array]:
     """Returns the road's work in each step, except its work on the tyre springs, and the energy that tyres dissipate [J].
 
-    Both results have the shape (T - 1,).
+    Both the work and the energy have the shape (T - 1,).
 
     If a tyre has damping, the nonelastic part R of its force acts between road and hub. The power of the road is R w at the
     road velocity w, the power on the hub is R l', and the tyre dissipates the difference.
@@ -288,9 +297,10 @@ def _by_tyres(path: "_Path", road: RoadInput) -> tuple[Array, Array]:
 
 
 def _has_kinks(vehicle: Vehicle, response: Response) -> bool:
-    """Returns True if a force may have a kink: a tyre in the air, a bump stop, a characteristic, or a lagging force at its limit.
+    """Returns True if a force may have a kink due to a tyre in the air, a bump stop, a characteristic, or a lagging force at
+    its limit.
 
-    A command that is limited before the lag is held over a step, so its force has no kink within the step.
+    A command that is limited before the lag is held constant during a step, so its force has no kink within the step.
     """
     reached, limits = utilisation(vehicle, response), vehicle.limits
     ends = [LIFT_OFF, BUMP_STOP] + ([] if limits.actuator_bandwidth is None or limits.limits_commands else [SATURATION])
@@ -313,15 +323,15 @@ class _Path:
     Attributes:
         model: compiled model of the vehicle.
         h: duration of a step [s].
-        starts: potential and kinetic energy, lengths, and rates of the lengths at the samples, shape (T, n). The road height is
-            that in the step that begins at each sample.
-        ends, rest: the same quantities at the end of every step (with the road height in this step), shape (T - 1, n), and in
+        starts: potential and kinetic energy, lengths, and rates of the lengths at the samples, shape (T, n). The road height at
+            a sample is that in the step that begins at the sample.
+        ends, rest: quantities of `starts` at the end of every step (with the road height in the step), shape (T - 1, n), and in
             equilibrium, shape (n,).
     """
 
     def __init__(self, qpos: Array, qvel: Array, road: RoadInput) -> None:
-        """Evaluates T states for the road height in the step that begins and, if it changed, also for that in the step that
-        ends.
+        """Evaluates T states for the road height in the step that begins at each state. If the road height changes at a state,
+        this state is also evaluated for the height in the step before.
         """
         midway, self.h = road.midway[: len(qpos)], road.timestep
         self.model, moved = _energy_model(road.vehicle, self.h), np.flatnonzero(np.any(midway[1:] != midway[:-1], axis=1))
@@ -332,12 +342,14 @@ class _Path:
         self.ends[moved] = seen[len(qpos) : -1]
 
     def length(self, number: int, factor: float = 1.0) -> "_Length":
-        """Returns a length by its index, multiplied by a factor."""
+        """Returns a length of the model by its index, after multiplication by a factor."""
         d, after = (factor * (one[:, 2 + number] - self.rest[2 + number]) for one in (self.starts, self.ends))
         return _Length(d, factor * self.starts[:, len(self.rest) // 2 + 1 + number], after, self.h)
 
     def stroke(self, vehicle: Vehicle, force: str) -> "_Length":
-        """Returns the deflection along which an input acts: that of its suspension if there is one, otherwise of its actuator."""
+        """Returns the deflection along which an input acts: the deflection of its suspension or, if it has no suspension, of
+        its actuator.
+        """
         model, i = self.model, mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, vehicle.kind.deflection_of(force))
         firsts = {int(mujoco.mjtSensor.mjSENS_TENDONPOS): 0, int(mujoco.mjtSensor.mjSENS_JOINTPOS): model.ntendon}
         first = firsts.get(int(model.sensor_type[i])) if i >= 0 else None
@@ -350,7 +362,7 @@ class _Path:
 def _energy_model(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
     """Returns the MuJoCo model that computes the energy of the vehicle.
 
-    Bump stops are omitted, and tyres with damping have ordinary springs.
+    The model for the energy has no bump stops, and its tyres with damping have ordinary springs.
     """
     spec = build_spec(replace(vehicle, limits=Limits()), timestep)
     for actuator in spec.actuators:
@@ -364,7 +376,7 @@ def _energy_model(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
 
 
 def _evaluate_states(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel: Array, roads: Array) -> Array:
-    """Returns the energies, lengths and rates of `_Path` for T states with given road heights, shape (T, n)."""
+    """Returns the energies, lengths and rates of `_Path` for T states with the supplied road heights, shape (T, n)."""
     names = ("energy", "ten_length", "qpos", "actuator_length", "ten_velocity", "qvel", "actuator_velocity")
     batch = Batch(model, min(AT_ONCE, max(1, len(qpos))), 0)
     columns, heights, mocap = [batch.bind(name) for name in names], batch.bind("mocap_pos"), mocap_indices(vehicle, model)
@@ -389,11 +401,11 @@ def _evaluate_states(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel:
 def _acting_forces(vehicle: Vehicle, forces: Array, requested: Array, h: float) -> Array:
     """Returns the forces of the actuators at RK4's stages of every step [N], shape (4, T - 1, m).
 
-    If a request exceeds the largest force, the lagging force may change its sign within a step.
+    If a requested force exceeds the largest force, the lagging force may change its sign within a step.
 
     Args:
         forces: simulated forces at the samples [N], shape (T, m).
-        requested: forces that the controller requested, see `Recording.commands`.
+        requested: forces that the controller requested; see `Recording.commands`.
     """
     limits, z = vehicle.limits, np.full(forces.shape[1], (vehicle.limits.actuator_bandwidth or 0.0) * h)
     if limits.actuator_force is None or limits.limits_commands:

@@ -1,4 +1,6 @@
-"""Records the state of each run at one chosen sample. The state shows whether a mode has grown or decayed."""
+"""Records the state of each run at one chosen sample. The recorded state shows whether a mode has grown or decayed until the
+chosen sample.
+"""
 
 from collections.abc import Sequence
 
@@ -13,7 +15,9 @@ class Growth:
     """Records the state of each run at one sample."""
 
     def __init__(self, samples: Sequence[int], batch: Batch) -> None:
-        """Prepares the recording for the runs of a batch. `samples` contains the index of the sample to record for each case."""
+        """Prepares the recording for the runs of a batch. The argument `samples` contains the index of the sample to record for
+        each case.
+        """
         self._samples = [samples[i] for i in batch.numbers]
         self._states: list[Array] = [np.zeros(0)] * len(self._samples)
 
@@ -24,5 +28,5 @@ class Growth:
                 self._states[i] = np.concatenate([block.qpos[k, i], block.qvel[k, i]])
 
     def result(self) -> list[Array]:
-        """Returns the positions and velocities of each run, shape (nq + nv,)."""
+        """Returns the recorded positions and velocities of each run, shape (nq + nv,)."""
         return self._states

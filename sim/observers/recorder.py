@@ -26,14 +26,14 @@ class Recording:
     Attributes:
         case: vehicle, controller and road that were simulated.
         input: vehicle and road of the run, with the road heights at the samples.
-        response: signals of the vehicle, followed by the states of a linear law, which are those at the law's most recent
-            sample. After a divergence, signals are NaN. If states of the law caused the divergence, the states are then
-            infinite; otherwise, they are NaN.
+        response: signals of the vehicle, followed by the states of a linear law; these states are those at the law's most
+            recent sample. After a divergence of the run, signals are NaN. If states of the law caused the divergence, the
+            states are then infinite; otherwise, the states are NaN.
         qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run.
         qvel: MuJoCo's generalised velocities, shape (T, nv).
-        measured: each measured signal and closing velocity at the samples of the controller, shape (T,), by name; see
+        measured: measured signals and closing velocities at the samples of the controller, each of shape (T,), by name; see
             `Block.measured`.
-        commands: commands of the actuators at every time step, see `sim.drive.actuators`, shape (T, m) or (T, 2 m).
+        commands: commands of the actuators at every time step, shape (T, m) or (T, 2 m); see `sim.drive.actuators`.
     """
 
     case: Case
@@ -56,7 +56,7 @@ class Recording:
 
     @cached_property
     def diverged(self) -> float:
-        """Time at which the run diverged [s]; infinity if it did not."""
+        """Time at which the run diverged [s]; infinity if the run did not diverge."""
         return self.response.diverged
 
     @property
@@ -69,7 +69,7 @@ class Recorder:
     """Records N runs."""
 
     def __init__(self, batch: Batch) -> None:
-        """Prepares the recording of a batch."""
+        """Prepares the recording of a batch of runs."""
         self._batch, self._blocks = batch, list[Block]()
 
     def take(self, block: Block) -> None:
@@ -100,7 +100,9 @@ class Recorder:
 
 
 def from_steady(road: RoadInput, response: Response) -> Response:
-    """Returns a response relative to the steady motion in which the vehicle starts; unchanged if it starts in equilibrium."""
+    """Returns a response relative to the steady motion in which the vehicle starts; unchanged if the vehicle starts in
+    equilibrium.
+    """
     steady = road.steady_signals(response.time)
     if steady is None:
         return response
@@ -110,6 +112,6 @@ def from_steady(road: RoadInput, response: Response) -> Response:
 
 
 def record(cases: "list[Case]", time: Array, threads: int = 1) -> list[Recording]:
-    """Simulates cases; returns their recordings at the sample times `time` [s]. For the arguments, see `drive`."""
+    """Simulates cases; returns the recordings of the cases at the sample times `time` [s]. For the arguments, see `drive`."""
     (recordings,) = drive(cases, time, Recorder, threads=threads)
     return recordings

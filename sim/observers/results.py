@@ -26,14 +26,14 @@ ROUNDING = 1e-8
 
 @dataclass(frozen=True)
 class LocalAgreement:
-    """Result of a local check, either of steps or of commands.
+    """Result of a local check, which is a check either of steps or of commands.
 
     Attributes:
-        error: difference that is largest compared with its allowed difference, relative to the peak of its signal.
-        allowed: allowed difference of the signal `signal`, relative to the peak of this signal.
+        error: the difference that is largest compared with its allowed difference; given relative to the peak of its signal.
+        allowed: allowed difference of the signal `signal`, relative to the peak of the same signal.
         signal: name of the signal, command or state of the law that has the difference `error`.
-        since: time of the first step or sample at which a difference exceeds the allowed difference [s]; infinity if no
-            difference does.
+        since: time of the first step or sample at which a difference exceeds the allowed difference [s]; infinity if none
+            exceeds it.
     """
 
     error: float
@@ -43,7 +43,7 @@ class LocalAgreement:
 
     @property
     def agrees(self) -> bool:
-        """True if no difference exceeds the allowed difference."""
+        """True if no difference exceeds its allowed difference."""
         return self.error <= self.allowed
 
 
@@ -52,8 +52,8 @@ class StepAgreement(LocalAgreement):
     """Differences between the simulation and the vehicle's exact equations, over single steps and at the starts of the steps.
 
     Attributes:
-        until: steps that begin before this time are compared [s]; infinite if all steps are compared.
-        equations_invalid: True if the equations are not valid for the state at the time `until`.
+        until: time before which a step must begin to be compared [s]; infinite if all steps are compared.
+        equations_invalid: True if the equations of motion are not valid for the state at the time `until`.
     """
 
     until: float
@@ -83,12 +83,12 @@ class Energy(ShownResult):
         dissipated: energy that the dampers dissipate [J].
         turnover: sum of the energy that the dampers dissipate, the energy that the actuators supply and absorb, and the largest
             kinetic energy [J].
-        loads: work done by the loads on the body [J]; None if there are no loads.
+        loads: work done by the loads on the body [J]; None if no loads act.
         allowed: largest residual that the error of the integrator can explain: the residual of RK4 if no force has a kink,
-            otherwise `BALANCE_TOLERANCE`. The limit is larger if the residual of the run at half the step is smaller.
+            otherwise `BALANCE_TOLERANCE`. The allowed residual is larger if the run at half the step has a smaller residual.
         residual: largest magnitude over time of the work done minus the stored and dissipated energy, relative to `turnover`.
         least: smallest power that a semi-active damper dissipates at any sample, relative to the largest power; negative if the
-            damper supplied energy. None if the vehicle has no semi-active dampers.
+            damper supplied energy. The power is None if the vehicle has no semi-active dampers.
     """
 
     road: float
@@ -103,7 +103,7 @@ class Energy(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Document that contains the verdict and the energies."""
+        """Document that contains the verdict and the energies of the balance."""
         parts = {name: getattr(self, name) for name in ("road", "actuators", "loads", "stored", "dissipated")}
         title = (
             f"energy {self.verdict}: the residual is {difference(self.residual)} of the {JOULES.text(self.turnover)} exchanged"
@@ -132,10 +132,12 @@ class Energy(ShownResult):
 
     @property
     def doubtful(self) -> bool:
-        """True if the residual is larger than usual. A run at half the step then distinguishes an error of RK4 from a fault."""
+        """True if the residual of the energy balance is larger than usual. A run at half the step then shows whether the
+        residual is an error of RK4 or a fault.
+        """
         return self.residual > self.allowed
 
     def with_half_step(self, finer: "Energy") -> "Energy":
-        """Returns the balance with an allowed residual that is based on the same run at half the step."""
+        """Returns the energy balance with an allowed residual that is based on the same run at half the step."""
         falls = max(0.0, self.residual - finer.residual)
         return replace(self, allowed=min(self.allowed + FALLS * falls, max(self.allowed, self.residual, COARSEST)))

@@ -1,14 +1,16 @@
-"""Compares a simulation with the exact equations, step by step and signal by signal, even if the motion is not linear.
+"""Compares a simulation with the exact equations of motion, step by step and signal by signal, even if the motion is not
+linear.
 
-The signals at one sample determine the state. A step of RK4 with the equations of the vehicle file then gives the signals at the
-next sample. The simulated signals must equal the signals from the equations up to rounding errors. The equations include
-rotating bodies, nonlinear characteristics, bump stops, tyres in the air and forces at their limits. Every step begins at the
-simulated state, so an error in one step cannot hide an error in another step. All steps can therefore be computed together.
-Forces and damper coefficients follow from the commands of the controller, with the limits and the lag of the vehicle file.
+The signals at one sample determine the state at this sample. A step of RK4 from the state at one sample, with the equations of
+the vehicle file, gives the signals at the next sample. The simulated signals must equal the signals that the equations give, up
+to rounding errors. The equations include rotating bodies, nonlinear characteristics, bump stops, tyres in the air and forces at
+their limits. Every step begins at the simulated state, so an error in one step cannot hide an error in another step. Because
+every step begins at a simulated state, all steps can be computed together. Forces and damper coefficients follow from the
+commands of the controller, with the limits and the lag of the vehicle file.
 
 The state and the forces at a sample also determine all other output signals. The other output signals are accelerations at the
-beginning of the step, velocities of points of the body, sums of signals, and the forces. The simulated values of these signals
-must also equal the computed values.
+beginning of the step, velocities of points of the body, sums of signals, and the forces. The simulated values of the other
+output signals must also equal the computed values.
 """
 
 from collections.abc import Mapping
@@ -61,7 +63,7 @@ def compare_steps(road: RoadInput, recording: Recording, until: float, rounding:
         road: road input that the run should have; the road input includes the vehicle.
         recording: recording of the run.
         until: time before which the compared steps end [s].
-        rounding: rounding error of every output signal in the loop, see `sim.linear.rounding`.
+        rounding: rounding error of every output signal in the control loop; see `sim.linear.rounding`.
     """
     if (motion := motion_of(road.vehicle)) is None:
         return None
@@ -108,19 +110,20 @@ def compare_steps(road: RoadInput, recording: Recording, until: float, rounding:
 
 @dataclass(frozen=True, eq=False)
 class _Starts:
-    """Starts of the K steps that are compared.
+    """Starts of the K steps that are compared with the equations.
 
     Attributes:
         vehicle: vehicle with the limits of its actuators.
         timestep: duration of the steps [s].
-        state: state of `Motion`, shape (K, n).
+        state: state of the vehicle's `Motion`, shape (K, n).
         own: internal states of the vehicle's parts, shape (K, k).
-        heights: road heights at the starts and after the last step [m], shape (K + 1, r).
-        midway: road heights that are held during the steps [m], shape (K, r).
-        loads: loads that are held during the steps, see `RoadInput.held_inputs`.
-        there: simulated values of the signals `Motion.names`, and of the states of parts, at the ends of the steps, shape (K, p
-            + k).
-        stages: forces, or coefficients of dampers relative to the nominal ones, at RK4's four stages, shape (K, m) each.
+        heights: road heights at the starts of the steps and after the last step [m], shape (K + 1, r).
+        midway: road heights that are held constant during each step [m], shape (K, r).
+        loads: loads that are held constant during each step; see `RoadInput.held_inputs`.
+        there: simulated values of the signals in `Motion.names`, and of the states of parts, at the ends of the steps, shape
+            (K, p + k).
+        stages: forces, or coefficients of dampers relative to the nominal coefficients, at RK4's four stages, shape (K, m)
+            each.
     """
 
     vehicle: Vehicle
@@ -152,7 +155,9 @@ def _starts(motion: "Motion", road: RoadInput, physics: Response, commands: Arra
 
 
 def _step_signals(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
-    """Returns the signals after one RK4 step from every start, and the simulated signals at the same time, shapes (K, p + k)."""
+    """Returns the signals after one RK4 step from every start, and the simulated signals at the end of the same step, shapes
+    (K, p + k).
+    """
     state, h, n = np.concatenate([starts.state, starts.own], axis=1), starts.timestep, starts.state.shape[1]
     if not len(state):
         return starts.there, starts.there
@@ -180,15 +185,16 @@ def _pulls(
     inputs: Array,
     loads: Array,
 ) -> "Pulls":
-    """Returns a function that computes the suspension forces for given states, including those of inertial parts.
+    """Returns a function that computes the suspension forces for the supplied states, including those of inertial parts.
 
     Let a be the second time derivatives of the deflections without the forces of inertial parts. The forces p of inertial parts
-    change these derivatives to a + R p, so p = b (a + R p). A complex step along a motion gives these derivatives exactly.
+    change the second derivatives to a + R p, so p = b (a + R p). A complex step along a motion gives the second derivatives
+    exactly.
 
     Args:
         given: commands that act during the RK4 stage.
         own: internal states of the vehicle's parts.
-        seen: list to which the function appends deflections and their rates; the first entry belongs to the given states.
+        seen: list to which the function appends deflections and their rates; the first entry belongs to the supplied states.
         state, heights, inputs, loads: arguments of `Motion.rate`.
 
     Raises:
@@ -225,7 +231,9 @@ def _pulls(
 
 
 def _other_signals(motion: "Motion", starts: _Starts, physics: Response, given: Array, loads: Array) -> dict[str, Array]:
-    """Computes the signals that the state does not contain, from the equations, for given commands and loads, shape (K,) each."""
+    """Computes, from the equations of motion, the signals that the state does not contain, for the supplied commands and loads,
+    shape (K,) each.
+    """
     vehicle, count, seen = starts.vehicle, len(starts.state), list[tuple[Array, Array]]()
     kind, names, forces, ratios = vehicle.kind, physics.names, SuspensionForces([vehicle]), MotionRatios([vehicle])
 
@@ -254,7 +262,8 @@ def _other_signals(motion: "Motion", starts: _Starts, physics: Response, given: 
 def _readings(
     motion: "Motion", starts: _Starts, physics: Response, measured: Mapping[str, Array], loads: Array
 ) -> dict[str, Array]:
-    """Computes the measured accelerations at the starts from the equations, for given loads, shape (K,) each.
+    """Computes, from the equations of motion, the measured accelerations at the starts of the steps, for the supplied loads,
+    shape (K,) each.
 
     A measurement is taken before the new commands act.
     """
@@ -276,7 +285,7 @@ def _at_wheels(vehicle: Vehicle, given: Array) -> Array:
 
 
 def _stage_inputs(vehicle: Vehicle, physics: Response, commands: Array, h: float) -> list[Array]:
-    """Returns the forces, or relative damper coefficients, at RK4's stages of every step, shape (K, m) each."""
+    """Returns the forces, or the damper coefficients relative to nominal, at RK4's stages of every step, shape (K, m) each."""
     inputs, (asked, most) = vehicle.linear_model.inputs, vehicle.limits.largest
     demand, z = commands[: len(physics.time), : len(inputs)], lag_rates(vehicle) * h
     pushing = ~np.isin(inputs, list(vehicle.dampers))

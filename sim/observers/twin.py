@@ -1,4 +1,4 @@
-"""Twin: the exact linear response of each run, which is computed during the run and compared with the simulated signals."""
+"""Twin of a run: its exact linear response, which is computed during the run and compared with the simulated signals."""
 
 from typing import Protocol
 
@@ -13,7 +13,7 @@ from sim.observers.ends import Ends
 
 
 class SignalMeter(Protocol):
-    """Meter that receives blocks of signals, shape (B, S, N)."""
+    """Meter that receives blocks of signals of the shape (B, S, N)."""
 
     def update(self, values: Array) -> None:
         """Receives the next block of samples."""
@@ -28,7 +28,7 @@ class Twin:
     """
 
     def __init__(self, batch: Batch, ends: Ends, meter: "SignalMeter | None" = None) -> None:
-        """Prepares the comparison for the runs of a batch. `ends` must observe each block before the twin."""
+        """Prepares the comparison for the runs of a batch. The observer `ends` must observe each block before the twin."""
         self._batch, self._ends, self.meter, self._responses = batch, ends, meter, ResponseBatch(batch)
         kind, model, outputs = batch.vehicles[0].kind, batch.vehicles[0].linear_model, self._responses.outputs
         self._units = [kind.signal(name).unit for name in outputs]
@@ -36,7 +36,7 @@ class Twin:
         self._states = [i for i, name in enumerate(outputs) if name in model.states]
 
     def take(self, block: Block) -> None:
-        """Compares the next block of samples with the linear responses. If there is a meter, the outputs in the block are
+        """Compares the next block of samples with the linear responses. If `meter` is not None, the outputs in the block are
         replaced by those of the linear response.
         """
         values, some = block.values, slice(block.start, block.start + len(block.values))
@@ -55,7 +55,9 @@ class Twin:
                 self.meter.update(np.clip(values, -DIVERGENCE_LIMIT, DIVERGENCE_LIMIT))
 
     def result(self) -> list[float]:
-        """Returns the largest difference of each run's states from the linear response, relative to the peak of this response."""
+        """Returns the largest difference of each run's states from the linear response, relative to the peak of the linear
+        response.
+        """
         worst = np.zeros(self._off.shape[1])
         loudest = loudest_alike(self._peak[self._states].T, [self._units[i] for i in self._states])
         for k, i in enumerate(self._states):

@@ -1,4 +1,5 @@
-"""Recordings on disk: an MCAP file, and the files of `RECORDINGS` next to it. Either all files are written or none.
+"""Recordings on disk: an MCAP file, and the files of `RECORDINGS` next to it. If not all files can be written, no file is
+written.
 
 Existing files are never overwritten.
 """
@@ -35,25 +36,25 @@ def record(
 ) -> dict[str, Path]:
     """Writes runs as `<stem>.mcap`, `<stem>.layout.json` (for the MCAP file in Foxglove and Lichtblick) and `<stem>.rrd`.
 
-    If one of these files exists, the stem becomes `<stem>-2`, `<stem>-3`, and so on. After an error or an interruption, no file
-    remains.
+    If a file with one of these names exists, the stem becomes `<stem>-2`, `<stem>-3`, and so on. After an error or an
+    interruption, no file of the recording remains.
 
     Args:
-        folder: folder of the files. A missing folder is created.
+        folder: folder in which the files are written. If the folder does not exist, it is created.
         stem: common name of the files, without suffix.
         runs: runs with distinct names.
-        metadata: metadata that apply to all runs, as text by key.
+        metadata: metadata that apply to all runs; keys and values are texts.
         attachments: media type and content of each attached file, by name. Only the MCAP file contains attachments; a Rerun
             file cannot contain them.
 
     Returns:
-        Paths of the files: `mcap`, `layout` and `rerun`.
+        Paths of the written files, with the keys `mcap`, `layout` and `rerun`.
 
     Raises:
         InputError: the folder cannot be created, the files cannot be written, or two runs have the same name.
 
     Example:
-        `sim.run_log` returns the runs to record; see its example:
+        The function `sim.run_log` returns the runs to record; see the example of `run_log`:
 
         >>> from sim import record, run_log
     """
@@ -75,7 +76,7 @@ def record(
 
 
 def _publish_files(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str, Path]:
-    """Renames complete files to the first name that is free for all of them. The final paths are returned."""
+    """Renames completely written files to the first name that is free for all of them. Returns the final paths of the files."""
     for number in itertools.count(1):
         name = stem if number == 1 else f"{stem}-{number}"
         final = {kind: folder / f"{name}.{SUFFIXES[kind]}" for kind in written}

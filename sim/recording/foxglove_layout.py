@@ -1,7 +1,8 @@
-"""Layouts for Foxglove and Lichtblick: the car in 3D, MuJoCo and sampled responses of all signals, and their differences.
+"""Layouts for Foxglove and Lichtblick: the car in 3D, all signals in the MuJoCo and sampled responses, and the differences
+between both responses.
 
-In both programs, choose "Import from file..." in the list of layouts. A layout consists of settings of panels by `TYPE!NAME`
-and a tree of rows and columns; see https://docs.foxglove.dev/docs/visualization/layouts.
+In Foxglove and in Lichtblick, choose "Import from file..." in the list of layouts. A layout consists of settings of panels,
+with keys `TYPE!NAME`, and a tree of rows and columns; see https://docs.foxglove.dev/docs/visualization/layouts.
 """
 
 import json
@@ -19,14 +20,14 @@ from sim.recording.run_log import RunLog
 
 
 def write_layout(path: Path, runs: Sequence[RunLog], _metadata: Mapping[str, str]) -> None:
-    """Writes the layout of an MCAP file. The metadata are only in the MCAP file."""
+    """Writes the layout of an MCAP file. The metadata of the runs are only in the MCAP file."""
     path.write_text(foxglove_layout(runs), encoding="utf-8", newline="\n")
 
 
 def foxglove_layout(runs: Sequence[RunLog]) -> str:
     """Returns the layout of an MCAP file as JSON, with a tab for each run.
 
-    Several runs also have a first tab that shows all runs.
+    If there are several runs, the first tab shows all runs.
     """
     panels: dict[str, Any] = {}
     tabs = [("all", _seen(panels, runs, runs, "all"))] if len(runs) > 1 else []
@@ -37,7 +38,7 @@ def foxglove_layout(runs: Sequence[RunLog]) -> str:
 
 
 def _seen(panels: dict[str, Any], runs: Sequence[RunLog], seen: Sequence[RunLog], name: str) -> Any:
-    """Adds the panels for one run or for all runs.
+    """Adds the panels for one run or for all runs to the layout.
 
     For a single run, the car and the events are on the left; for all runs, the cars are above the plots.
     """
@@ -61,7 +62,8 @@ def _page(panels: dict[str, Any], runs: Sequence[RunLog], page: Page, name: str)
 
 
 def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
-    """Returns a 3D panel with a view from the left, slightly from the front and above. The camera follows a single car.
+    """Returns a 3D panel that shows the car from the left, slightly from the front and above. If the panel shows a single car,
+    the camera follows it.
 
     A single vehicle that moves in the roll plane is shown from behind.
     """
@@ -94,8 +96,8 @@ def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
 
 
 def _plot(panels: dict[str, Any], runs: Sequence[RunLog], plot: Plot, name: str) -> str:
-    """Adds a plot over time, or over a field of the messages other than time. Returns its id. All plots over time zoom
-    together.
+    """Adds a plot of signals over time, or over a field of the messages other than time. Returns its id. All plots over time
+    are zoomed together.
     """
     panel = f"Plot!{_id(name)}"
     axis: dict[str, Any] = {"xAxisVal": "timestamp"}
@@ -136,7 +138,7 @@ def _field(runs: Sequence[RunLog], curve: Curve, name: str) -> str:
 
 
 def _tab_panel(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) -> Any:
-    """Adds a tab panel that contains all pages; returns a single page unchanged."""
+    """Adds a tab panel that contains all pages; if there is a single page, returns this page unchanged."""
     if len(pages) == 1:
         return pages[0][1]
     panel = f"Tab!{_id(name)}"
@@ -145,7 +147,7 @@ def _tab_panel(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) 
 
 
 def _stack(direction: str, parts: Sequence[Any], shares: Sequence[float] = ()) -> Any:
-    """Returns parts of a layout, arranged in a row or a column, as the binary tree that both viewers use."""
+    """Returns parts of a layout, arranged in a row or a column, as the binary tree that Foxglove and Lichtblick use."""
     shares = [*shares, *[1.0] * len(parts)][: len(parts)]
     if len(parts) == 1:
         return parts[0]
@@ -158,5 +160,5 @@ def _stack(direction: str, parts: Sequence[Any], shares: Sequence[float] = ()) -
 
 
 def _id(name: str) -> str:
-    """Returns a name for a panel's id, with special characters encoded."""
+    """Returns the name that a panel has in its id, with special characters encoded."""
     return re.sub(r"[^A-Za-z0-9]", lambda match: f"_{ord(match.group()):x}", name)

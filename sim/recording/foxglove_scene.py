@@ -1,7 +1,8 @@
-"""Messages that contain a run's scene and events, with Foxglove's published schemas, https://docs.foxglove.dev/docs/sdk/schemas.
+"""Messages that contain a run's scene and events, with Foxglove's published schemas,
+https://docs.foxglove.dev/docs/sdk/schemas.
 
-After a jump in time, players use the last message of each topic. Every message of `/scene` and `/transforms` is therefore
-complete. The shapes do not change, and are written once to their own topic `/shapes`.
+After a jump in time, players show the last message of each topic. Every message of `/scene` and `/transforms` is therefore
+complete. The shapes of the bodies do not change, so they are written once, to a separate topic `/shapes`.
 """
 
 from collections.abc import Iterator
@@ -45,16 +46,16 @@ def frame(run: RunLog, body: str = "") -> str:
 
 
 def events(run: RunLog, times: list[int]) -> Messages:
-    """Yields the events of a run as messages at the given times [ns]."""
+    """Yields the events of a run as messages at the supplied times [ns]."""
     for time, (_, text) in zip(times, run.events, strict=True):
         yield Log(timestamp=_stamp(time), level=Log.INFO, message=text, name=run.name)
 
 
 def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
-    """Yields the poses of all bodies and of the car as a whole.
+    """Yields the poses of all bodies, and of the car as a whole, as messages.
 
     Args:
-        run: run whose frames contain only finite numbers.
+        run: run in whose frames all numbers are finite.
         times: times of the frames [ns].
         stand: position in the world at which the car is shown [m], shape (3,).
     """
@@ -83,9 +84,9 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
     """Yields the message with the solids, fixed to their bodies, and with the name of the run above the car.
 
     Args:
-        run: run whose frames contain only finite numbers.
+        run: run in whose frames all numbers are finite.
         time: time of the message [ns].
-        color: colour of the name (red, green, blue), from 0 to 255.
+        color: colour of the run's name (red, green, blue), from 0 to 255.
     """
     update = SceneUpdate()
     for body in run.scene.bodies:
@@ -101,8 +102,8 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
 
 
 def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
-    """Yields the messages that draw struts, tyres, and arrows for control forces. A force of `largest` [N] has the longest
-    arrow.
+    """Yields the messages that draw struts, tyres, and arrows for control forces. A force whose magnitude is `largest` [N] has
+    the longest arrow.
     """
     scene = run.scene
     struts = [
@@ -136,7 +137,7 @@ def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
 
 
 def _add_entity(update: Any, time: int, frame_id: str, name: str) -> Any:
-    """Adds an entity that moves with its frame, and returns it.
+    """Adds an entity that moves with its coordinate frame, and returns the entity.
 
     The entity remains until another entity with the same name replaces it.
     """
@@ -178,11 +179,11 @@ def _add_solid(entity: Any, shape: Shape) -> None:
 
 
 def _pack_points(points: Array, field: int) -> Array:
-    """Returns points, rounded to `GRID`, as entries of a repeated field: tag, length, three doubles.
+    """Returns points, rounded to `GRID`, as entries of a repeated protobuf field: tag, length, three doubles.
 
-    The shape of the array changes from (..., P, 3) to (..., P).
+    The shape of the array of points changes from (..., P, 3) to (..., P).
 
-    When the message is serialised later, zeros are omitted. The number of the field must be below 16.
+    When the message is serialised later, protobuf omits zeros. The number of the protobuf field must be below 16.
     """
     packed = np.empty(points.shape[:-1], POINT)
     packed["head"] = field << 3 | 2, POINT.itemsize - 2
@@ -193,7 +194,7 @@ def _pack_points(points: Array, field: int) -> Array:
 
 
 def _fill(primitive: Any, look: Any, packed: Array) -> None:
-    """Fills a new primitive with a copy of another primitive and with packed points."""
+    """Fills a new primitive with a copy of another primitive, and with points that are already encoded."""
     primitive.CopyFrom(look)
     primitive.MergeFromString(packed.tobytes())
 
@@ -222,6 +223,6 @@ def _pose(position: Array = ORIGIN, quaternion: Array = IDENTITY_QUATERNION) -> 
 
 
 def _color(rgb: Array | tuple[int, int, int], alpha: float = 1.0) -> Color:
-    """Returns a colour from numbers between 0 and 255."""
+    """Returns a colour message from numbers between 0 and 255."""
     r, g, b = (float(part) / 255 for part in rgb)
     return Color(r=r, g=g, b=b, a=alpha)

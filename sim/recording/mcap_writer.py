@@ -1,7 +1,7 @@
 """Writer of runs as an MCAP file, https://mcap.dev/spec: protobuf messages with schemas that Rerun and Foxglove can plot.
 
-Encoding: https://protobuf.dev/programming-guides/encoding. The descriptors are created at run time from the signals of the
-responses, without generated code. Each field has the name of its signal.
+Encoding: https://protobuf.dev/programming-guides/encoding. The protobuf descriptors are created at run time from the signals of
+the responses, without generated code. Each field of a message has the same name as its signal.
 """
 
 import json
@@ -39,13 +39,14 @@ def write_mcap(
 ) -> None:
     """Writes runs to an MCAP file.
 
-    The file contains one metadata record for all runs and one for each run, the attachments, and the `channels`.
+    The file contains one metadata record for all runs and one for each run, the attachments, and the channels that `channels`
+    yields.
 
 
     Args:
         path: path of the file; an existing file is overwritten.
         runs: runs with distinct names, and times [s] that are not negative.
-        metadata: metadata that apply to all runs, as text by key.
+        metadata: metadata that apply to all runs; keys and values are texts.
         attachments: media type and content of each attached file, by name.
 
     Raises:
@@ -72,14 +73,15 @@ def write_mcap(
 
 
 def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
-    """Yields all channels of a log in order.
+    """Yields all channels of a log in the order in which they are written.
 
-    Each response has a topic: `/mujoco` for a single run, or `/I/mujoco` for one of several runs. The topic has one message for
-    each sample, with one double for each signal and log_time = publish_time = t in ns. The metadata of the channel contains
-    unit, symbol and meaning of every signal as JSON by name; the schema contains them as comments. `/difference` contains the
-    MuJoCo response minus the sampled response, relative to the peak of each signal, in single precision. Forces that are not
-    part of the responses are in `/loads` and `/dampers`. Events are `foxglove.Log` messages in `/events`. The moving car is in
-    `/transforms`, `/shapes` and `/scene`, with Foxglove's published schemas. Channels without messages are omitted.
+    Each response has its own topic: `/mujoco` for a single run, or `/I/mujoco` for the run I of several runs. The topic has one
+    message for each sample, with one double for each signal; log_time and publish_time are the time of the sample in ns. The
+    metadata of the channel contain the unit, symbol and meaning of every signal as JSON by name; the schema contains them as
+    comments. The topic `/difference` contains the MuJoCo response minus the sampled response, relative to the peak of each
+    signal, in single precision. Forces that are not part of the responses are in the topics `/loads` and `/dampers`. Events are
+    `foxglove.Log` messages in the topic `/events`. The moving car is in the topics `/transforms`, `/shapes` and `/scene`, with
+    Foxglove's published schemas. Channels without messages are omitted.
     """
     numbers: dict[tuple[Signal, ...], int] = {}
     for run in runs:
@@ -98,12 +100,12 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
 
 
 def topic(runs: Sequence[RunLog], run: RunLog, name: str) -> str:
-    """Returns the name of a topic. With several runs, the topic includes the name of the run."""
+    """Returns the name of a topic. If the log contains several runs, the topic includes the name of the run."""
     return f"/{run.name}/{name}" if len(runs) > 1 else f"/{name}"
 
 
 def _nanoseconds(time: Array) -> list[int]:
-    """Returns times [s] in nanoseconds."""
+    """Returns times [s] converted to nanoseconds."""
     return np.round(time * 1e9).astype(np.int64).tolist()
 
 
@@ -115,7 +117,7 @@ def _describe_signal(signal: Signal) -> str:
 def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> Schema:
     """Returns the schema of a flat message of doubles or floats.
 
-    The name of the schema contains a number, because responses may have different signals.
+    The name of the schema contains a number, because different responses may have different signals.
     """
     message = DescriptorProto(name=f"Signals{number}")
     file = FileDescriptorProto(name=f"{PACKAGE}/signals{number}.proto", package=PACKAGE, syntax="proto3")
@@ -143,7 +145,8 @@ def _encode_samples(response: Response, kind: str) -> Iterator[bytes]:
 
     A double is encoded as its tag, (number << 3) | 1 as a varint, and 8 little-endian bytes; a float has wire type 5 and 4
     bytes. A flat message therefore has the same layout at every sample, and all samples form a single array of bytes.
-    Protobuf's own writer omits zeros. Writing zeros is also valid, and keeps the layout and the values -0.0 and NaN.
+    Protobuf's own writer would omit zeros. Messages that contain zeros are also valid, and preserve the layout, NaN and the
+    value -0.0.
     """
     count, size = len(response.time), np.dtype(kind).itemsize
     columns = []
@@ -157,7 +160,9 @@ def _encode_samples(response: Response, kind: str) -> Iterator[bytes]:
 
 
 def _varint(value: int) -> bytes:
-    """Returns a varint: seven bits per byte, lowest bits first. The high bit is set if another byte follows."""
+    """Returns a number as a varint: seven bits per byte, lowest bits first. The high bit of a byte is set if another byte
+    follows.
+    """
     low, rest = value & 0x7F, value >> 7
     return bytes([low | 0x80]) + _varint(rest) if rest else bytes([low])
 

@@ -54,13 +54,13 @@ class Curve:
 
     @property
     def values(self) -> Array:
-        """Values of the signal."""
+        """Values of the signal in the response."""
         return self.response[self.signal]
 
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """Plot of curves over time or, if the plot has a diagram, of a force over its argument."""
+    """Plot of curves over time or, if the plot has a diagram, of a force against its argument (velocity or deflection)."""
 
     title: str
     curves: tuple[Curve, ...]
@@ -69,7 +69,9 @@ class Plot:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Page of plots: its title, plots in rows, the group of its signals, and the differences of these signals below the plots."""
+    """Page of plots: its title, its plots in rows, the group of its signals, and the differences of the same signals below the
+    plots.
+    """
 
     title: str
     plots: tuple[Plot, ...]
@@ -78,21 +80,21 @@ class Page:
 
     @property
     def columns(self) -> int:
-        """Number of plots in a row."""
+        """Number of plots in a row of the page."""
         return 1 if len(self.plots) == 1 else 2 if len(self.plots) <= 4 else 3
 
 
 def colour_of(runs: Sequence[RunLog], run: RunLog) -> str:
-    """Returns the colour of a run's curves, as in the report, but with grey instead of black."""
+    """Returns the colour of a run's curves, which is the same as in the report, but grey instead of black."""
     color = styles(tuple(other.name for other in runs))[run.name].color
     return NEUTRAL if color == BLACK else color
 
 
 def pages(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> list[Page]:
-    """Returns the pages of a single run with all its responses, loads and diagrams, or of several runs with one curve for each
-    run.
+    """Returns the pages of a single run with all its responses, loads and diagrams, or the pages of several runs with one curve
+    for each run.
 
-    The first page is the overview. The last page is the road, which all responses share.
+    The first page is the overview. The last page shows the road, which is the same for all responses.
     """
     run, color, alone, found = seen[0], colour_of(runs, seen[0]), len(seen) == 1, []
     for group, signals in groups(seen).items():
@@ -153,7 +155,7 @@ def _diagram(run: RunLog, one: "Diagram", color: str) -> Plot:
 
 
 def differences(run: RunLog, signals: Sequence[Signal]) -> tuple[Curve, ...]:
-    """Returns curves of the difference between MuJoCo and the sampled response for some signals.
+    """Returns curves of the difference between the MuJoCo and the sampled response for some signals.
 
     Signals without a difference are omitted.
     """
@@ -170,10 +172,10 @@ def signals_of(runs: Sequence[RunLog]) -> tuple[Signal, ...]:
 def groups(runs: Sequence[RunLog]) -> dict[str, tuple[Signal, ...]]:
     """Returns the signals of runs by page, without the road signals.
 
-    The groups are the overview, all other signals and, for a single run, the states of its controller.
+    The groups of signals are the overview, all other signals and, for a single run, the states of its controller.
 
-    The overview shows the corner with the largest suspension travel. If there are many other signals, they are divided by type.
-    Types with one or two signals, such as heave and pitch, share a page.
+    The overview shows the signals of the corner with the largest suspension travel. If there are many other signals, these
+    signals are grouped by type. Types with only one or two signals, such as heave and pitch, share a page.
     """
     signals = [signal for signal in signals_of(runs) if not is_kept(signal) and not signal.name.startswith((*ROADS,))]
     named = {signal.name: signal for signal in signals}
@@ -200,8 +202,8 @@ def _peak(runs: Sequence[RunLog], name: str) -> float:
 
 
 def _title(run: RunLog, group: str) -> str:
-    """Returns the title of a run's page: its group. For a controller with many states, the title includes the number of states
-    shown.
+    """Returns the title of a run's page, which names the group of its signals. For a controller with many states, the title
+    includes how many states are shown.
     """
     if group != CONTROLLER or len(run.active) <= MOST_ACTIVE:
         return group
@@ -213,7 +215,9 @@ def _heading(signal: Signal) -> str:
 
 
 def _parts(name: str, plots: Sequence[Plot]) -> list[tuple[str, tuple[Plot, ...]]]:
-    """Returns the plots of a group, divided evenly among pages of at most `SEEN` plots, with the titles of the pages."""
+    """Returns the plots of a group of signals, divided evenly among pages of at most `SEEN` plots, with the titles of the
+    pages.
+    """
     count = -(-len(plots) // SEEN)
     each = -(-len(plots) // count)
     parts = [tuple(plots[start : start + each]) for start in range(0, len(plots), each)]

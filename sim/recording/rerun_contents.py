@@ -103,9 +103,9 @@ def _log_curves(recording: rr.RecordingStream, path: str, curves: Sequence[Curve
 def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
     """Logs all plotted data: responses, differences, loads, and drawings of the diagrams.
 
-    A response is at `signals/<signal>/<response>`, in a shade of the run's colour. The difference MuJoCo minus sampled, relative
-    to the peak of each signal, is at `difference/<group>`. Loads over time are at `acting/loads/<load>`, and diagrams are at
-    `acting/diagrams/<force>`.
+    A response is at `signals/<signal>/<response>`, in a shade of the run's colour. The MuJoCo response minus the sampled
+    response, relative to the peak of each signal, is at `difference/<group>`. Loads as functions of time are at
+    `acting/loads/<load>`, and force diagrams are at `acting/diagrams/<force>`.
     """
     for signal in signals_of([run]):
         for curve in response_curves(run, signal, color):
@@ -124,9 +124,10 @@ def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
 
 
 def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulled: Response, color: str) -> None:
-    """Logs a force over its argument as a 2D drawing, because Rerun plots only over time.
+    """Logs the plot of a force against its argument (velocity or deflection) as a 2D drawing, because Rerun plots only over
+    time.
 
-    The drawing is 2 units wide and 2 units high; y points downwards.
+    The drawing is 2 units wide and 2 units high; its y axis points downwards.
     """
     x, force = pulled[one.argument.name], pulled[one.pull.name]
     far, high = (ROOM * max(float(np.abs(values).max(initial=0.0)), least) for values, least in ((x, 1e-3), (force, 1.0)))
@@ -186,7 +187,7 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
 
 
 def log_properties(recording: rr.RecordingStream, name: str, metadata: Mapping[str, str]) -> None:
-    """Logs metadata as properties, which programs can read. Users see the same metadata in documents."""
+    """Logs metadata as properties of the recording, which programs can read. Users see the same metadata in text documents."""
     if metadata:
         recording.send_property(name, rr.AnyValues(drop_untyped_nones=True, **metadata))
 
@@ -197,7 +198,7 @@ def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
 
 
 def list_metadata(metadata: Mapping[str, str]) -> str:
-    """Returns metadata as Markdown: a table of short values, followed by the long values, cut off after `READ` characters."""
+    """Returns metadata as Markdown: a table of short values, then the long values, cut off after `READ` characters."""
     short = {key: value for key, value in metadata.items() if len(value) <= 80 and "\n" not in value}
     table = Table("metadata", "", ("key", "value"), tuple(short.items()))
     long = (f"**{key}**\n```\n{_cut(value)}\n```" for key, value in metadata.items() if key not in short)
@@ -211,7 +212,9 @@ def _cut(text: str) -> str:
 
 
 def certificates(runs: Sequence[RunLog]) -> str:
-    """Returns a Markdown table of the certificates of all runs, followed by the verdicts, each with the names of its runs."""
+    """Returns a Markdown table of the certificates of all runs, followed by the verdicts, each with the names of the runs that
+    have this verdict.
+    """
     keys, results = ("bound", "norm", "stable"), list[tuple[str, str]]()
     for run in runs:
         first = f"; first: {run.events[0][1]}, {WHEN.text(run.events[0][0])}" if run.events else ""
@@ -231,14 +234,15 @@ def _number(text: str) -> str:
 
 
 def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> None:
-    """Logs the moving car and its road.
+    """Logs the moving car and the road on which it drives.
 
-    The paths are `world/<body>/<shape>`, `world/springs/<spring>` and `world/forces/<spring>`.
+    The car's entity paths are `world/<body>/<shape>`, `world/springs/<spring>` and `world/forces/<spring>`.
 
-    The road is a profile at `world/profile/<track>`. Other viewers show pieces of road under the wheels instead.
+    The road is a profile at `world/profile/<track>`. Viewers other than Rerun show pieces of road under the wheels instead of
+    the profile.
 
     Args:
-        run: run to log. Frames with values that are not finite are omitted.
+        run: run to log. Frames of the run with values that are not finite are omitted.
         largest: force whose arrow has the full length [N].
     """
     scene = run.scene.finite()
@@ -266,7 +270,7 @@ def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> Non
 
 
 def _log_track(recording: rr.RecordingStream, path: str, time: Array, track: Track) -> None:
-    """Logs the road once, as a surface that moves as a whole."""
+    """Logs the surface of the road once; the surface moves as a whole."""
     vertices, colours, triangles = road_surface(track)
     surface = rr.Mesh3D(
         vertex_positions=vertices.astype(np.float32), vertex_colors=colours.astype(np.uint8), triangle_indices=triangles

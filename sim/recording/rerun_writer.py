@@ -1,6 +1,6 @@
-"""Writer of runs as a Rerun file with its layout: the moving car next to its curves.
+"""Writer of runs as a Rerun file with a layout that shows the moving car next to its curves.
 
-Importing Rerun takes half a second, so this module is only imported when a file is written.
+Importing Rerun takes half a second, so Rerun is imported only when a file is written.
 """
 
 import math
@@ -96,7 +96,7 @@ def _tab_container(pages: Sequence[rrb.Container]) -> rrb.Container:
 
 
 def _plots(page: Page, runs: Sequence[RunLog]) -> rrb.Container:
-    """Returns a page of plots, with the plots of differences below them."""
+    """Returns a page of plots, with the plots of their differences below them."""
     views = [_view(plot, runs, i == 0) for i, plot in enumerate(page.plots)]
     grid = rrb.Grid(*views, grid_columns=page.columns, name=page.title)
     if not page.difference:
@@ -110,7 +110,7 @@ def _plots(page: Page, runs: Sequence[RunLog]) -> rrb.Container:
 
 
 def _view(plot: Plot, runs: Sequence[RunLog], first: bool) -> rrb.View:
-    """Returns a plot over time, with a legend if it is the first plot of its page, or the view of a diagram."""
+    """Returns a plot over time, with a legend if it is the first plot of its page; for a diagram, returns its view."""
     run = runs[0]
     if plot.diagram is not None:
         return rrb.Spatial2DView(
@@ -130,7 +130,7 @@ def _view(plot: Plot, runs: Sequence[RunLog], first: bool) -> rrb.View:
 
 
 def _series(title: str, curves: Sequence[Array], legend: bool = True, **contents: Any) -> rrb.View:
-    """Returns a plot of curves over time. All plots zoom and pan together."""
+    """Returns a plot of curves over time. All plots over time zoom and pan together."""
     return rrb.TimeSeriesView(
         name=title,
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
@@ -141,7 +141,7 @@ def _series(title: str, curves: Sequence[Array], legend: bool = True, **contents
 
 
 def _car(run: RunLog, aspect: float) -> rrb.View:
-    """Returns the view that shows a whole car in the direction `SIGHT`, for a given ratio of width to height."""
+    """Returns the view that shows a whole car from the direction `SIGHT`, for a specified ratio of width to height."""
     sight = FROM_BEHIND if run.scene.flat else SIGHT
     sight = sight / np.linalg.norm(sight)
     right = np.cross(sight, [0.0, 0.0, 1.0])
@@ -168,7 +168,7 @@ def extremes(curves: Sequence[Array]) -> tuple[float, float] | None:
 
 
 def extremes_text(curves: Sequence[Array]) -> str:
-    """Returns the smallest and the largest value as text; empty if no value is finite."""
+    """Returns the smallest and the largest value of curves as text; empty if no value is finite."""
     limits = extremes(curves)
     if limits is None:
         return ""
@@ -179,7 +179,7 @@ def extremes_text(curves: Sequence[Array]) -> str:
 def value_axis(curves: Sequence[Array]) -> rrb.ScalarAxis | None:
     """Returns a value axis that contains all finite values of curves.
 
-    If there are no finite values, the result is None, and Rerun chooses the axis.
+    If the curves have no finite values, the result is None, and Rerun chooses the axis.
     """
     low, high = extremes(curves) or (math.nan, math.nan)
     constant = high - low <= ROUNDING * max(abs(low), abs(high))
@@ -192,18 +192,18 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
 
     The entities of a run are below its name: `signals/<signal>/<response>`, events at `signals/<signal>/<event>`,
     `difference/<group>`, `world/<body>/<shape>`, `world/springs/<spring>`, `world/forces/<spring>`, `world/profile/<track>`,
-    `acting/loads/<load>`, `acting/diagrams/<force>`, `summary` and `events`. All runs share `metadata` and, if there are
-    several runs, `certificates`. The timeline is `time`, from the start of a run.
+    `acting/loads/<load>`, `acting/diagrams/<force>`, `summary` and `events`. All runs share the entities `metadata` and, if
+    there are several runs, `certificates`. The timeline of the file is `time`, which begins at the start of a run.
 
     Args:
         path: path of the file; an existing file is overwritten.
         runs: runs with distinct names. Frames with values that are not finite are omitted, so that the car stops at the last
             finite frame.
-        metadata: metadata that apply to all runs, as text by key.
+        metadata: metadata that apply to all runs; keys and values are texts.
 
     Raises:
         OSError: the file cannot be written.
-        ValueError: Rerun cannot log some data.
+        ValueError: Rerun cannot log some of the data.
     """
     # The viewer stores one layout for each application id. Each recording has its own id, because the plots of a layout have
     # fixed ranges that fit only one recording.
@@ -241,7 +241,7 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
 
 
 def _check_complete(path: Path) -> None:
-    """Checks that a file is complete by reading its table of contents.
+    """Checks that a Rerun file is complete by reading its table of contents.
 
     Rerun writes the table of contents last, in a thread, and reports no error if the disk is full.
     """

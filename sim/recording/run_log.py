@@ -1,4 +1,6 @@
-"""Recorded data of one run, which is the content of the run's log. `mcap_writer.py` and `run_records.py` define the format."""
+"""Recorded data of one run, which is the content of the run's log. The modules `mcap_writer.py` and `run_records.py` define the
+format of the recorded data.
+"""
 
 import re
 from collections.abc import Mapping
@@ -33,20 +35,21 @@ class RunLog:
 
     Attributes:
         name: name of the run, usually that of its controller.
-        responses: responses by topic: simulated by MuJoCo, exact for the sampled loop, and exact for the paper's continuous
-            loop.
-        metadata: claims about the run (its properties and results), as text by key. Structured values are JSON.
+        responses: responses by topic: the response simulated by MuJoCo, the exact response of the sampled loop, and that of the
+            paper's continuous loop.
+        metadata: claims about the run (its properties and results), as text by key. Structured values of the metadata are in
+            JSON.
         events: time [s] and text of each event, such as lift-off, landing or divergence.
         summary: description of the controller's design and the verdict on the run, as Markdown.
         scene: drawing of the vehicle over time.
-        verdict: short result of the comparison; empty if nothing was compared.
-        files: attachments that the metadata refers to, for example the points of a measured road; (media type, content) by
-            name.
-        other_signals: signals outside the responses, by topic: loads on the body, forces of dampers and springs, and a measured
-            log.
+        verdict: short result of the comparison with linear analysis; empty if nothing was compared.
+        files: attachments to which the metadata refer, for example the points of a measured road; each is (media type,
+            content), by name.
+        other_signals: signals that are not part of the responses, by topic: loads on the body, forces of dampers and springs,
+            and a measured log.
         diagrams: diagrams of damper and spring forces against velocity or deflection.
-        active: names of the controller's states, sorted by their contribution to the force, the largest first. Viewers show
-            only the first few states.
+        active: names of the controller's states, sorted by their contribution to the force; the largest contribution comes
+            first. Viewers show only the first few states in this order.
     """
 
     public_name = "a log, such as sim.run_log returns"
@@ -65,7 +68,9 @@ class RunLog:
 
     @cached_property
     def gap(self) -> Response | None:
-        """MuJoCo's response minus the sampled response, relative to the peak of each signal; None if one of them is missing."""
+        """MuJoCo's response minus the sampled response, relative to the peak of each signal; None if one of the two responses
+        is missing.
+        """
         if not {MUJOCO, SAMPLED} <= set(self.responses):
             return None
         return difference(self.responses[MUJOCO], self.responses[SAMPLED])

@@ -56,13 +56,13 @@ SPACING, MOST = 0.05, 20_000
 def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
     """Converts a run to a scene with 60 frames per second.
 
-    The names of the elements of the MuJoCo model determine what is drawn. A spring is drawn from every site `NAME_bottom` to
-    `NAME_top`, with the force of the actuator on the tendon NAME. A cylinder with the name of a tendon is drawn as a tyre, with
-    the length of this tendon.
+    The names of the elements in the MuJoCo model determine what is drawn. A spring is drawn from every site `NAME_bottom` to
+    the site `NAME_top`, with the force of the actuator on the tendon NAME. A cylinder that has the name of a tendon is drawn as
+    a tyre; the length of the tendon is the height of the hub above the road.
 
     Args:
         road_input: vehicle and road, at the samples of the response.
-        physics: simulated response, at equidistant sample times from 0.
+        physics: simulated response at equidistant sample times, which begin at 0.
         qpos: MuJoCo's generalised positions, shape (T, nq).
     """
     vehicle, time, timestep = road_input.vehicle, physics.time, road_input.timestep
@@ -102,12 +102,12 @@ def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
 
 
 def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: Array) -> tuple[Track, ...]:
-    """Returns the road profiles, one for each track; none for a test rig, whose posts are bodies.
+    """Returns the road profiles, one for each track; a test rig has none, because its posts are bodies.
 
     Args:
         places: positions of the wheels in the world [m], shape (r, 3).
         time: times of the frames [s], shape (F,).
-        heights: road heights under the wheels at these times [m], shape (F, r).
+        heights: road heights under the wheels at the times of the frames [m], shape (F, r).
     """
     if not len(time) or not road.laid:
         return ()
@@ -133,7 +133,9 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
 
 
 def _actuators(model: mujoco.MjModel) -> dict[str, str]:
-    """Returns the signal of every actuator on a tendon, by tendon. Actuators added for characteristics are omitted."""
+    """Returns the signal of every actuator that acts on a tendon; the keys are the names of the tendons. Actuators that
+    represent characteristics are omitted.
+    """
     on_tendon = int(mujoco.mjtTrn.mjTRN_TENDON)
     names = {i: model.actuator(i).name for i in range(model.nu) if int(model.actuator_trntype[i]) == on_tendon}
     controls = {i: name for i, name in names.items() if not name.startswith(FITTED_PREFIX)}
@@ -183,18 +185,18 @@ def record_runs(
 ) -> dict[str, str]:
     """Records the runs of a command with `sim.recording.files.record`.
 
-    The file name consists of the command, the vehicle file, the controllers and the time (UTC).
+    The name of each file consists of the command, the vehicle file, the controllers and the time (UTC).
 
     Args:
         command_line: command line `roadproof COMMAND ...` that repeats the runs.
         vehicle: vehicle of the runs.
-        controllers: names of the controllers, which become part of the name of the log.
+        controllers: names of the controllers, which become part of the file names.
         runs: runs to record, by their names in the log.
-        result: result of the command, as printed by `--json`.
+        result: result of the command, as `--json` prints it.
         measured: signals of a measured log during the time of the runs; None without a measured log.
 
     Returns:
-        Paths of the files, as for `sim.recording.files.record`.
+        Paths of the recorded files, as `sim.recording.files.record` returns them.
 
     Raises:
         InputError: the folder cannot be written.
@@ -228,7 +230,9 @@ def record_runs(
 
 
 def _attachment_name(what: str, suffix: str, content: bytes) -> str:
-    """Returns the name of an attachment. The name contains a hash of the content, so that runs share equal attachments."""
+    """Returns the name of an attachment. The name contains a hash of the content, so runs with equal attachments share one
+    attachment.
+    """
     return f"{what}-{hashlib.sha256(content).hexdigest()[:16]}.{suffix}"
 
 
@@ -283,8 +287,8 @@ def run_log(run: Run, name: RunName, measured: Response | None = None) -> RunLog
     Args:
         run: run that MuJoCo has simulated, not a run from a log.
         name: name of the run in the log.
-        measured: signals of a measured log during the time of the run; None without a measured log. Signals that the vehicle
-            does not have are omitted.
+        measured: signals of a measured log during the time of the run; None without a measured log. Measured signals that the
+            vehicle does not have are omitted.
 
     Returns:
         Responses, metadata, events, scene and verdict of the run.

@@ -18,16 +18,16 @@ def rotation_matrix(quaternion: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Solid that is fixed to a body.
+    """Solid that is fixed to a body of the vehicle.
 
     Attributes:
         name: name of the solid, unique within its body.
         body: name of the body to which the solid is fixed.
         form: "box", "cylinder", "capsule" or "sphere".
         half_size: half edges of a box, or (radius, half length along z, 0) of other forms [m], shape (3,).
-        position: centre in the body's frame [m], shape (3,).
-        quaternion: orientation in the body's frame, (w, x, y, z).
-        rgba: colour from 0 to 1, shape (4,).
+        position: centre of the solid in the body's frame [m], shape (3,).
+        quaternion: orientation of the solid in the body's frame, (w, x, y, z).
+        rgba: colour and opacity, from 0 to 1, shape (4,).
     """
 
     name: str
@@ -40,12 +40,12 @@ class Shape:
 
     @property
     def rotation(self) -> Array:
-        """Orientation in the frame of the body as a matrix, shape (3, 3)."""
+        """Orientation of the solid in the frame of the body, as a matrix, shape (3, 3)."""
         return rotation_matrix(self.quaternion)
 
     @property
     def half_edges(self) -> Array:
-        """Half edges of the bounding box, along its axes [m], shape (3,)."""
+        """Half edges of the solid's bounding box, along the axes of the box [m], shape (3,)."""
         radius, half_length, _ = self.half_size
         match self.form:
             case "box":
@@ -59,7 +59,9 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Motion of a body in F frames: positions in the world [m], shape (F, 3), and orientations (w, x, y, z), shape (F, 4)."""
+    """Motion of a body in F frames: its positions in the world [m], shape (F, 3), and its orientations (w, x, y, z), shape (F,
+    4).
+    """
 
     positions: Array
     quaternions: Array
@@ -67,16 +69,17 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Tyre:
-    """Tyre with a flat contact patch. In the air, the tyre is undeformed.
+    """Tyre with a flat contact patch. In the air, the tyre is drawn undeformed.
 
     Attributes:
         name: name of the tyre, unique within its body.
         body: name of the body that carries the tyre. The hub is at the origin of the body that carries the tyre.
         radius: undeformed radius [m].
         half_width: half the width of the tyre [m].
-        middle: y coordinate of the middle of the tyre (along the axle), in the frame of the body [m].
-        height: height of the hub above the road in each frame [m], shape (F,). Above `radius`, the tyre is off the ground.
-        rgba: colour from 0 to 1, shape (4,).
+        middle: y coordinate (along the axle) of the tyre's middle, in the frame of the body [m].
+        height: height of the hub above the road in each frame [m], shape (F,). If the hub is higher than `radius`, the tyre is
+            off the ground.
+        rgba: colour and opacity, from 0 to 1, shape (4,).
     """
 
     name: str
@@ -98,11 +101,11 @@ class Track:
     """Profile of a road along one track. In the drawing, the profile moves towards the vehicle.
 
     Attributes:
-        middle: y coordinate of the middle of the track, in the world [m].
-        position: x coordinates of the points of the profile at time 0, ascending [m], shape (N,).
-        height: heights of these points [m], shape (N,).
-        travelled_distance: distance by which the points have moved backwards in each frame [m], shape (F,).
-        bodies: names of the pieces of road under the wheels, which other viewers show instead of the profile.
+        middle: y coordinate of the middle of the track, in world coordinates [m].
+        position: x coordinates of the profile's points at time 0, ascending [m], shape (N,).
+        height: heights of the profile's points [m], shape (N,).
+        travelled_distance: distance by which the profile's points have moved backwards in each frame [m], shape (F,).
+        bodies: names of the pieces of road under the wheels, which viewers other than Rerun show instead of the profile.
     """
 
     middle: float
@@ -118,9 +121,9 @@ class Scene:
 
     Attributes:
         time: times of the frames [s], shape (F,).
-        shapes: solids that are fixed to bodies.
+        shapes: solids that are fixed to the bodies of the vehicle.
         bodies: motion of every body that carries a solid, by name.
-        springs: ends of each spring with its damper, at the wheel and at the body [m], shape (F, 2, 3), by name.
+        springs: ends of each spring and its damper, at the wheel and at the body [m], shape (F, 2, 3), by name of the spring.
         tyres: tyres, drawn with their deformation.
         forces: control forces [N], shape (F,), by name of the spring; a positive force pushes the ends of the spring apart.
         tracks: profiles of the road, one for each track of the vehicle.
@@ -137,7 +140,7 @@ class Scene:
     def finite(self) -> "Scene":
         """Returns the scene with only the frames in which all numbers are finite.
 
-        The drawn car then stops when a run becomes invalid.
+        The drawn car therefore stops when a run becomes invalid.
         """
         numbers = [part for motion in self.bodies.values() for part in (motion.positions, motion.quaternions)]
         numbers += [*self.springs.values(), *self.forces.values(), *(tyre.height for tyre in self.tyres)]
@@ -156,16 +159,16 @@ class Scene:
 
     @property
     def flat(self) -> bool:
-        """True if the scene is wider than long, as for a vehicle in the roll plane.
+        """True if the scene is wider than it is long, as for a vehicle in the roll plane.
 
-        Viewers then show the scene from behind instead of from the left.
+        Viewers show a wide scene from behind instead of from the left.
         """
         low, high = self.finite().extent()
         return bool(np.ptp([low, high], axis=0)[1] > np.ptp([low, high], axis=0)[0])
 
     def extent(self) -> tuple[Array, Array]:
-        """Returns two opposite corners of a box around all solids and tyres in all frames [m]; solids keep their first
-        orientations.
+        """Returns two opposite corners of a box around all solids and tyres in all frames [m]; solids keep the orientation of
+        the first frame.
         """
         corners = []
         for shape in self.shapes:
@@ -206,7 +209,7 @@ def largest_force(scenes: Iterable[Scene]) -> float:
 
 
 def arrows(scene: Scene, largest: float) -> dict[str, tuple[Array, Array]]:
-    """Returns the tail and the vector [m] of each control-force arrow by spring, shapes (F, 3).
+    """Returns the tail and the vector [m] of each control-force arrow, shapes (F, 3), by name of the spring.
 
     Args:
         scene: drawing of a run, which contains the springs and their control forces.
@@ -222,11 +225,11 @@ def arrows(scene: Scene, largest: float) -> dict[str, tuple[Array, Array]]:
 
 
 def strut_lines(ends: Array) -> tuple[Array, Array, Array]:
-    """Returns the lines that draw coil, rod and tube of a strut, shapes (F, points, 3), from the strut's ends [m], shape (F, 2,
-    3).
+    """Returns the lines that draw the coil, rod and tube of a strut, shapes (F, points, 3), for the strut's ends [m], shape (F,
+    2, 3).
 
-    The tube is fixed to the body. The tube is half as long as the strut in the first frame, so that the motion of the rod is
-    visible.
+    The tube of the strut is fixed to the body. The tube is half as long as the strut in the first frame, so that the motion of
+    the rod in the tube is visible.
     """
     start, axis = ends[:, 0], ends[:, 1] - ends[:, 0]
     if not len(ends):
@@ -246,11 +249,11 @@ def strut_lines(ends: Array) -> tuple[Array, Array, Array]:
 
 
 def tyre_surface(tyre: Tyre) -> tuple[Array, Array]:
-    """Returns the surface of a tyre with its contact patch.
+    """Returns the drawn surface of a tyre with its contact patch.
 
     Returns:
-        The vertices in the frame of the body [m], shape (F, 2 SECTORS + 2, 3), and the vertex indices of the triangles, shape
-        (4 SECTORS, 3).
+        The vertices of the surface in the frame of the body [m], shape (F, 2 SECTORS + 2, 3), and the vertex indices of the
+        triangles, shape (4 SECTORS, 3).
     """
     angle = 2 * np.pi * np.arange(SECTORS) / SECTORS
     x, z = tyre.radius * np.sin(angle), -tyre.radius * np.cos(angle)
@@ -271,11 +274,12 @@ def tyre_surface(tyre: Tyre) -> tuple[Array, Array]:
 
 
 def road_surface(track: Track) -> tuple[Array, Array, Array]:
-    """Returns the surface of a track, drawn as a slab. The shade of grey alternates every metre, which makes the motion
-    visible.
+    """Returns the drawn surface of a road along one track, as a slab. The shade of grey alternates every metre, so that the
+    motion of the road is visible.
 
     Returns:
-        The vertices at time 0 [m], shape (6 N, 3), their colours, shape (6 N, 3), and the triangles, shape (6 (N - 1), 3).
+        The vertices of the surface at time 0 [m], shape (6 N, 3), their colours, shape (6 N, 3), and the triangles, shape (6 (N
+        - 1), 3).
     """
     count = len(track.position)
     left, right, under = track.middle + ROAD, track.middle - ROAD, track.height - THICK

@@ -1,5 +1,6 @@
 """The report: one HTML page about a vehicle and its controllers.
 
-Start with `page`, which builds the page from the sections of all studies. `designs`, `agreement`, `exported` and `summary` make
-the sections that no study of `sim.studies` makes. `one_page` makes the short report, and `gallery` the page of the gallery.
+Start with `page`, which builds the page from the sections of all studies. The modules `designs`, `agreement`, `exported` and
+`summary` make the sections that no study in `sim.studies` makes. The module `one_page` makes the short report, and the module
+`gallery` makes the page of the gallery.
 """

@@ -1,4 +1,4 @@
-"""The sections of a report that compare MuJoCo with linear analysis over one road: responses, agreement and force diagrams."""
+"""The sections of a report that compare MuJoCo with linear analysis over one road: responses, differences and force diagrams."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -53,7 +53,9 @@ def suspension_figure(scope: Subject, runs: Sequence[Run], where: str) -> Figure
 
 
 def _panel(scope: Subject, diagram: Diagram, runs: Sequence[Run]) -> Panel:
-    """Returns the panel of a force diagram: lines for characteristics, points for about `DIAGRAM_POINTS` samples of each run."""
+    """Returns the panel of a force diagram: lines show the characteristics, and points show about `DIAGRAM_POINTS` samples of
+    each run.
+    """
     points, far, high = [], 1e-3, 0.0
     for run in runs:
         response = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
@@ -71,7 +73,8 @@ def _panel(scope: Subject, diagram: Diagram, runs: Sequence[Run]) -> Panel:
 
 @np.errstate(over="ignore")  # the squares of an unstable loop overflow; tables print "-" for infinity
 def response_section(scope: Subject, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Document:
-    """Returns the section about the runs: signals over time, and a table of peaks (over the bump) or metrics (over another road).
+    """Returns the section about the runs: plots of signals over time, and a table of peaks (for the bump) or metrics (for
+    another road).
 
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
@@ -126,12 +129,13 @@ def _metrics(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Table:
 
 
 def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, Finer]) -> Document:
-    """Returns the section about the difference between MuJoCo and linear analysis, and its order of convergence.
+    """Returns the section about the difference between MuJoCo and linear analysis, and the order of convergence of this
+    difference.
 
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
-        finer: agreement with linear analysis in the runs at half the timestep, by controller and signal.
+        finer: agreement of MuJoCo with linear analysis in the runs at half the timestep, by controller and signal.
     """
     pairs = [(run, finer.get(run.controller.name), name) for run in runs for name in run.agreement.signals]
     reference = NONLINEAR if scope.vehicle.parts.nonlinear else LINEAR
@@ -197,8 +201,8 @@ def _order(run: Run, finer: Finer | None, name: str, to: str) -> float | None:
     """Returns the order of convergence of a difference; None if rounding, noise or geometry causes the difference.
 
     Args:
-        run: simulated run at the timestep of the report.
-        finer: agreement with linear analysis in a run at half the timestep; None if this run was not simulated.
+        run: simulated run whose timestep is that of the report.
+        finer: agreement of MuJoCo with linear analysis in a run at half the timestep; None if no such run was simulated.
         name: name of the signal whose difference is evaluated.
         to: linear response with which the run is compared, "sampled" or "continuous".
     """
@@ -209,7 +213,7 @@ def _order(run: Run, finer: Finer | None, name: str, to: str) -> float | None:
 
 
 class ResponseStudy(Study[None]):
-    """Study that adds the section about the runs over the road to a page."""
+    """Study that adds a section about the runs over the road to the page of a report."""
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         """See `Study`."""
@@ -217,9 +221,9 @@ class ResponseStudy(Study[None]):
 
 
 class AgreementStudy(Study[dict[str, Finer]]):
-    """Study of the difference between MuJoCo and linear analysis over the road of the page.
+    """Study of the difference between MuJoCo and linear analysis over the road that the page is about.
 
-    Runs at half the timestep give the order of convergence.
+    Runs at half the timestep show the order of convergence of the difference.
     """
 
     def requests(self, scope: Subject) -> Mapping[str, Subject]:
@@ -227,7 +231,9 @@ class AgreementStudy(Study[dict[str, Finer]]):
         return {"": scope}
 
     def run(self, request: Subject, progress: Progress) -> dict[str, Finer]:
-        """Returns the agreement at half the timestep by controller and signal, for at most `MOST_ORDERS` controllers."""
+        """Returns the agreement of MuJoCo with linear analysis at half the timestep, by controller and signal, for at most
+        `MOST_ORDERS` controllers.
+        """
         halves = sample_times(request.vehicle, request.duration, request.timestep / 2)
         runs = run_controllers(request.vehicle, request.driven_controllers[:MOST_ORDERS], request.road, halves, balanced=False)
         return {run.controller.name: run.agreement.signals for run in runs}

@@ -52,7 +52,7 @@ def write_reports(options: argparse.Namespace, child_processes: bool) -> int:
 
     Args:
         options: values of the command-line options.
-        child_processes: True if child processes may compute parts of a page.
+        child_processes: True if child processes are allowed to compute parts of a page.
 
     Raises:
         InputError: an option, a vehicle file or an output file is invalid.
@@ -97,7 +97,7 @@ def write_reports(options: argparse.Namespace, child_processes: bool) -> int:
 
 
 def _subjects(options: argparse.Namespace) -> dict[str, tuple[Vehicle, list[str]]]:
-    """Returns the vehicle and the controllers of each page, by title.
+    """Returns the vehicle and the controllers of each page; the keys are the titles of the pages.
 
     If a vehicle has both semi-active dampers and controllers that need force actuators, these controllers get a separate page.
     """
@@ -118,7 +118,7 @@ def _subjects(options: argparse.Namespace) -> dict[str, tuple[Vehicle, list[str]
 
 
 def _outputs(options: argparse.Namespace, subjects: Mapping[str, tuple[Vehicle, list[str]]]) -> dict[str, dict[str, Path | None]]:
-    """Returns the path of the page and the folder for the figures of each vehicle, by title."""
+    """Returns the path of each vehicle's page and the folder for its figures; the keys are the titles of the vehicles."""
     if len(subjects) == 1:
         ((title, (vehicle, _)),) = subjects.items()
         return {title: {"report": options.out or Path(f"report-{file_stem(vehicle)}.html"), "figures": options.figures}}
@@ -135,7 +135,7 @@ def _several(
     results: Mapping[str, Report],
     undesigned: Sequence[str],
 ) -> int:
-    """Prints the written files and one table with the controllers of several vehicles; returns the exit code."""
+    """Prints the names of the written files, and one table with the controllers of several vehicles; returns the exit code."""
     compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.scores]
     if options.json:
         whole = {title: {**record(result), **output_paths(outputs[title])} for title, result in results.items()}
@@ -155,7 +155,7 @@ def _write_report(
     pool: Processes,
     outputs: Mapping[str, Path | None],
 ) -> Report:
-    """Writes the page of a vehicle, and its figures if they are requested; returns the report."""
+    """Writes the page of a vehicle, and its figures if the user requests them; returns the report."""
     check(vehicle, (), AMPLITUDE, options.timestep)
     steps_per_sample(vehicle.implementation, options.timestep)
     road, name, duration = None, "", BUMP_DURATION
@@ -222,7 +222,7 @@ def write_gallery(options: argparse.Namespace) -> int:
 
 
 def _about(source: str) -> dict[str, str]:
-    """Returns texts that state how a page was made, by title: time, command, vehicle file and package versions."""
+    """Returns texts that state how a page was made, by title of the text: time, command, vehicle file and package versions."""
     return {
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "command": shlex.join(["python", *sys.orig_argv[1:]]),
@@ -232,7 +232,7 @@ def _about(source: str) -> dict[str, str]:
 
 
 def _write(page: Page, outputs: Mapping[str, Path | None]) -> None:
-    """Writes a page, and its figures if they are requested. If an error occurs, no file is written."""
+    """Writes a page, and its figures if the user requests them. If an error occurs, no file is written."""
     out, figures = outputs["report"], outputs["figures"]
     assert out is not None, "every page has a file"
     with ExitStack() as stack:
@@ -250,14 +250,14 @@ def _write(page: Page, outputs: Mapping[str, Path | None]) -> None:
 
 
 def _files(page: Page) -> list[tuple[Figure | Table, tuple[str, ...]]]:
-    """Returns the figures and tables of a page, by the names of their files."""
+    """Returns the figures and tables of a page, by the names of the files for them."""
     figures = [(one, (f"{one.name}.svg", f"{one.name}.png")) for one in page.whole.figures]
     return [*figures, *((one, (f"{one.name}.csv",)) for one in page.whole.tables)]
 
 
 def _others(page: Page, folder: Path) -> list[str]:
-    """Returns the names of figures and tables in the folder that do not belong to this page. The command does not delete such
-    files.
+    """Returns the names of figures and tables in the folder that do not belong to the page. The command does not delete the
+    figures and tables of other pages.
     """
     own = {name for _, names in _files(page) for name in names}
     there = {path.name for path in folder.iterdir() if path.suffix.lower() in (".csv", ".svg", ".png")}

@@ -1,4 +1,4 @@
-"""The sections of a report about designs: gains, certificates, goals, and the numbers of the paper."""
+"""The sections of a report about designs: gains, certificates, goals, and the published results of the paper."""
 
 import math
 from collections.abc import Mapping
@@ -47,7 +47,9 @@ def design_section(scope: Subject) -> Document:
 
 
 def _loops(scope: Subject) -> list[Statement]:
-    """Returns statements about implementation, unstable loops, missed goals, and laws to which linear analysis does not apply."""
+    """Returns statements about the implementation, unstable loops, missed goals, and laws to which linear analysis does not
+    apply.
+    """
     statements, vehicle = list[Statement](), scope.vehicle
     built = (*vehicle.limits.phrases(vehicle.kind.suspensions), *vehicle.implementation.phrases)
     if built:
@@ -100,10 +102,10 @@ GOALS: tuple[Field[tuple[str, Specification]], ...] = (
 
 
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
-    """Returns the table of a controller's gains with a row per measured signal; None if the controller measures nothing.
+    """Returns the table of a controller's gains, with a row for each measured signal; None if the controller measures nothing.
 
-    The table of a static gain K has a column per force. The table of a dynamic controller has a column per frequency. The cells
-    of this table contain the amplitude of the force, or of all forces together, as in a Bode plot.
+    The table of a static gain K has a column for each force. The table of a dynamic controller has a column for each frequency.
+    The cells of a dynamic controller's table contain the amplitude of the force, or of all forces together, as in a Bode plot.
     """
     if not controller.measured:
         return None
@@ -129,7 +131,7 @@ def per_unit(unit: str, other: str) -> str:
 
 
 def paper_section(scope: Subject, progress: Progress) -> Document:
-    """Returns the section that compares the numbers of the paper with numbers that Roadproof computes from scratch."""
+    """Returns the section that compares the published results of the paper with results that Roadproof computes from scratch."""
     values, rows = ours(scope.designer), []
     for row in PRINTED_NUMBERS:
         entry = f"[{row.entry[0] + 1}, {row.entry[1] + 1}]" if row.entry is not None else ""
@@ -153,7 +155,7 @@ def paper_section(scope: Subject, progress: Progress) -> Document:
 
 
 def without_l(designer: Designer) -> Table:
-    """Returns the table about remark 4 of the paper: designs with L = 0."""
+    """Returns the table about remark 4 of the paper, which is about designs with L = 0."""
     columns: tuple[Field[WithoutL], ...] = (
         Field("controller", lambda one: f"{one.controller}, states {one.states}"),
         Field("gain", lambda one: "none" if one.gain is None else gain_text(one.gain)),
@@ -178,7 +180,7 @@ def other_ways(designer: Designer) -> Table:
 
 
 class DesignsStudy(Study[None]):
-    """Study that adds the section about the designs of all controllers to a page."""
+    """Study that adds a section about the designs of all controllers to the page of a report."""
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         """See `Study`."""
@@ -186,7 +188,7 @@ class DesignsStudy(Study[None]):
 
 
 class PaperStudy(Study[Document]):
-    """Study that adds the section with published and computed numbers to the page about the paper's vehicle."""
+    """Study that adds a section with the paper's published results and computed results to the page about the paper's vehicle."""
 
     seconds = 2.0
 

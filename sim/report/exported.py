@@ -1,4 +1,6 @@
-"""The section of a report about exported code: its content, and how runs with the code differ from runs with the control law."""
+"""The section of a report about exported code: what the code contains, and how runs with it differ from runs with the control
+law.
+"""
 
 from collections.abc import Mapping
 
@@ -14,7 +16,7 @@ TITLE = "Exported code"
 
 
 def exported_section(scope: Subject) -> Document:
-    """Returns the section about exported code: its format and inputs, and the result of its run over the road."""
+    """Returns the section about exported code: its format and inputs, and the result of the code's run over the road."""
     assert scope.exported_controller is not None, "a folder was given"
     time = sample_times(scope.vehicle, scope.duration, scope.timestep)
     (run,) = run_controllers(scope.vehicle, [scope.exported_controller], scope.road, time)
@@ -38,7 +40,7 @@ def exported_section(scope: Subject) -> Document:
 
 
 class ExportedStudy(Study[Document]):
-    """Study that adds the section about exported code to a page."""
+    """Study that adds a section about exported code to the page of a report."""
 
     def requests(self, scope: Subject) -> Mapping[str, Subject]:
         """See `Study`."""

@@ -1,4 +1,4 @@
-"""The page of the gallery: published and computed numbers of each source, with figures of the responses."""
+"""The page of the gallery: published and computed results of each source, with figures of the responses."""
 
 import math
 from collections.abc import Sequence
@@ -26,8 +26,8 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
     """Returns the page of the gallery.
 
     Args:
-        results: entries of the gallery, each with its published and computed numbers.
-        about: texts that state how the page was made, such as time and command, by name.
+        results: entries of the gallery, each with its published and computed results.
+        about: texts that state how the page was made, such as time and command; the keys are the titles of the texts.
     """
     found = summary(results)
     headline, *said = found.statements
@@ -42,7 +42,7 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
 
 
 def _section(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
-    """Returns the section of an entry: its document, with a figure of the responses that contain the numbers."""
+    """Returns the section of a gallery entry: its document, with a figure of the responses from which its numbers are read."""
     found, first = describe(entry, numbers), dict[tuple, PrintedNumber]()
     for one in (number.printed for number in numbers):
         first.setdefault((one.what in OF_A_RUN, one.vehicle, one.controller, one.signal, str(one.road), one.hertz), one)
@@ -55,7 +55,7 @@ def _section(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
 
 
 def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) -> Panel | None:
-    """Returns a panel with the response that contains a number; None if the number is not part of a response."""
+    """Returns a panel with the response that contains a published number; None if the number is not part of a response."""
     designer = designer_of(entry, one)
     if one.what in OF_A_RUN:
         run, peaks = run_of_number(designer, one), [each.printed for each in numbers if each.printed.what == "peak"]
@@ -78,11 +78,11 @@ def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) 
 
 
 def _over_time(run: Run, peaks: Sequence[PrintedNumber], one: PrintedNumber) -> Panel:
-    """Returns a panel of a signal over time. Published peaks have the sign of the largest peak of the response.
+    """Returns a panel of a signal over time. Published peaks are drawn with the sign of the largest peak of the response.
 
     Args:
         run: run from which the signal is taken.
-        peaks: published peaks of the signal in this run.
+        peaks: published peaks of the signal in the run.
         one: published number, which defines the signal, its unit and the scale of the axis.
     """
     time, exact = run.continuous.time, one.scale * run.continuous[one.signal]

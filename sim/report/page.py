@@ -1,4 +1,4 @@
-"""The page of a report: the comparison of controllers, then the sections of all studies."""
+"""The page of a report: the comparison of controllers, followed by the sections of all studies."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,11 +25,11 @@ Begin = Callable[[dict[Name, Any], Progress], Callable[[], dict[Name, Any]]]
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """A report: its page, and the comparison of controllers.
+    """A report: its HTML page, and the comparison of controllers.
 
     Attributes:
         page: whole HTML page of the report.
-        scores: scores of the controllers; the passive vehicle comes first.
+        scores: scores of the controllers in the comparison; the passive vehicle comes first.
         compared_on: text that describes the roads over which the controllers are compared.
     """
 
@@ -43,10 +43,10 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
 
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
-        provenance: texts that state how the report was made, such as time and command, by name.
+        provenance: texts that state how the report was made, such as time and command; the keys are the titles of the texts.
         begin: function that starts the computations of the studies and returns a function that waits for their results; see
             `Processes.begin`.
-        progress: callback that receives the name of each study when it begins.
+        progress: callback that receives the name of each study when the study begins.
     """
     # The copy of `scope` omits the cached runs, because transferring them would take long
     answers = begin(requests_of(replace(scope)), progress)
@@ -73,23 +73,23 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
 
 
 def requests_of(scope: Subject) -> dict[Name, Any]:
-    """Returns the requests of a page by study and subject, the longest first. Each request is an independent computation of a
-    study.
+    """Returns the requests (computations) that a page needs, by study and subject; the longest computation comes first. Each
+    request is a computation of a study that does not depend on other requests.
     """
     studies = sorted((one(name) for name, one in STUDIES.load_all().items()), key=lambda one: -one.seconds)
     return {(one.name, subject): request for one in studies for subject, request in one.requests(scope).items()}
 
 
 def stages(scope: Subject) -> tuple[str, ...]:
-    """Returns the names of the stages in which a page is computed, in their order."""
+    """Returns the names of the stages in which a page is computed, in the order of the computation."""
     return RUNS, *dict.fromkeys(name for name, _ in reversed(requests_of(scope)))
 
 
 def _compare_controllers(scope: Subject, over_roads: Sequence[Score]) -> list[Score]:
-    """Returns the scores of all controllers over random roads or, if there are none, over the road of the page.
+    """Returns the scores of all controllers over random roads or, if there are no random roads, over the road of the page.
 
-    The passive vehicle comes first. A controller without runs over random roads, for example with an unstable loop, has a score
-    without numbers.
+    The score of the passive vehicle comes first. A controller without runs over random roads, for example a controller with an
+    unstable loop, has a score without numbers.
     """
     if not over_roads:
         return scores_of_runs(scope.runs, passive_beside(scope.runs, scope.designer.design), scope.samples, scope.run_metrics)

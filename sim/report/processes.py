@@ -21,14 +21,14 @@ Name = tuple[str, str]  # name of a request: the study that it belongs to, and i
 
 
 def processes(quick: bool) -> int:
-    """Returns the best number of child processes: 0 on a single core, or for a quick report, which takes less time than imports
-    in child processes.
+    """Returns the best number of child processes: 0 on a single core, or for a quick report, which takes less time than the
+    imports in child processes.
     """
     return 0 if quick else min(cores() - 1, MOST)
 
 
 class Processes:
-    """Pool of processes that run the requests of pages. Without processes, the calling process runs the requests."""
+    """Pool of processes that run the requests of pages. Without child processes, the calling process runs the requests."""
 
     def __init__(self, count: int) -> None:
         """Starts `count` processes, which import the modules that most requests need."""
@@ -53,16 +53,16 @@ class Processes:
         self._pool.shutdown(cancel_futures=True)
 
     def begin(self, requests: Mapping[Name, Any], progress: "Progress") -> Callable[[], dict[Name, Any]]:
-        """Starts requests in the order of the mapping.
+        """Starts the requests in the order of the mapping `requests`.
 
         Args:
-            requests: requests to run, by name.
+            requests: requests to run; the keys are their names.
             progress: callback that receives the name of the current study.
 
         Returns:
-            Function that waits for all results and returns them by name. While this function waits, the calling process itself
-            runs requests that no other process has started yet, beginning with the last one. If the pool breaks, the calling
-            process also runs all requests that have no result yet.
+            Function that waits for all results and returns them by the name of the request. While this function waits, the
+            calling process itself runs requests that no other process has started yet, beginning with the last request. If the
+            pool of processes breaks, the calling process also runs all requests that have no result yet.
         """
         futures: dict[Name, Future[Any]] = {}
         if self._pool is not None:

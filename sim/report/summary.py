@@ -1,4 +1,6 @@
-"""The first section of a report, with requirements and the comparison of controllers, and the section about verification."""
+"""The first section of a report, which shows requirements and the comparison of controllers, and the section about
+verification.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -31,14 +33,15 @@ PANELS = {one: bars for one in FIELDS if (bars := COLUMNS[one.key].bars)}
 def first_screen(
     scope: Subject, runs: Sequence[Run], compared: Sequence[Score], dive: Mapping[str, float], where: str
 ) -> Document:
-    """Returns the first section of the page: requirements (if present), and the comparison of controllers as table and bars.
+    """Returns the first section of the page: the requirements (if present), and the comparison of controllers as a table and as
+    bars.
 
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
-        compared: scores of the controllers, which the table compares.
-        dive: dive angle under braking [deg] by controller; empty if the vehicle cannot pitch.
-        where: text that describes the roads over which the controllers are compared, see `compared_on`.
+        compared: scores of the controllers for the table that compares them.
+        dive: dive angle under braking [deg], by controller; empty if the vehicle cannot pitch.
+        where: text that describes the roads over which the controllers are compared; see `compared_on`.
     """
     more = [Field[Score]("dive under 0.5 g", lambda one: dive.get(one.controller), three_digits, unit="deg")] if dive else []
     table, wanted = compared_table(compared, where, more), requirements_table(scope, runs)
@@ -46,8 +49,8 @@ def first_screen(
 
 
 def _bars(scope: Subject, compared: Sequence[Score], dives: Sequence[Field[Score]], table: Table, where: str) -> Figure:
-    """Returns a bar chart of ride, travel, tyre load, force and dive for all controllers, with the changes from the passive
-    vehicle.
+    """Returns a bar chart of ride, travel, tyre load, force and dive for all controllers, with the changes relative to the
+    passive vehicle.
     """
     names = tuple(one.controller for one in compared)
     look, marked = {**styles((PASSIVE,)), **scope.styles}, best(compared)
@@ -70,9 +73,10 @@ def _bars(scope: Subject, compared: Sequence[Score], dives: Sequence[Field[Score
 
 
 def requirements_table(scope: Subject, runs: Sequence[Run]) -> Table | None:
-    """Returns a table of the vehicle file's goals and limits, with the controllers that meet them; None if there are none.
+    """Returns a table of the vehicle file's goals and limits, with the controllers that meet them; None if the file has no
+    goals or limits.
 
-    A goal is compared with the proved value, and a limit with the run over the road.
+    A goal is compared with the proved value, and a limit is compared with the run over the road.
     """
     rows = []
     for one in scope.controllers:
@@ -93,14 +97,15 @@ def requirements_table(scope: Subject, runs: Sequence[Run]) -> Table | None:
 
 @np.errstate(over="ignore")  # the squares of an unstable loop overflow
 def trust_section(scope: Subject, runs: Sequence[Run], ends: Sequence[OneEnd], wrong: Sequence[str]) -> Document:
-    """Returns the section that compares predictions with MuJoCo, and states up to which bump height linear analysis is valid.
+    """Returns the section that compares predictions of linear analysis with MuJoCo, and states up to which bump height linear
+    analysis is valid.
 
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
         ends: bump height at which the linear regime ends, for each controller.
-        wrong: names of controllers whose runs disagree with linear analysis. The section states no bump height for these
-            controllers.
+        wrong: names of the controllers whose runs disagree with linear analysis. The section states no bump height for
+            controllers whose runs disagree with linear analysis.
     """
     vehicle = scope.vehicle
     certificates = {one.name: one.certificate for one in scope.controllers if one.certificate.stable}
@@ -124,11 +129,12 @@ def trust_section(scope: Subject, runs: Sequence[Run], ends: Sequence[OneEnd], w
 
 
 def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: str) -> str:
-    """Returns a text that describes the roads of the comparison: the road of the report, random roads, or the paper's bump.
+    """Returns a text that describes the roads over which controllers are compared: the road of the report, random roads, or the
+    paper's bump.
 
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
-        compared: scores of the controllers, which the table compares.
+        compared: scores of the controllers for the table that compares them.
         rides: True if the controllers are compared over random roads.
         when: text that states in which part of the run the metrics are measured.
     """
@@ -140,5 +146,7 @@ def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: st
 
 
 def _height(end: RegimeEnd) -> str:
-    """Returns, as text, the bump height at which the linear regime ends, with a remark if MuJoCo does not confirm this height."""
+    """Returns a text with the bump height at which the linear regime ends, with a remark if MuJoCo does not confirm this
+    height.
+    """
     return HEIGHT.text(end.found) if end.confirmed else f"NOT as predicted, {HEIGHT.text(end.predicted)}"

@@ -1,1 +1,1 @@
-"""Force elements for sections of `[parts]`, one per file."""
+"""Force elements for sections of `[parts]`, each in its own file."""

@@ -2,7 +2,7 @@
 
     F = k0 d + c0 v + alpha z,    z' = A v - beta |v| |z|^(n-1) z - gamma v |z|^n.
 
-A voltage u changes c0 and alpha to c0 + c0_per_volt u and alpha + alpha_per_volt u.
+A voltage u changes the parameters c0 and alpha to c0 + c0_per_volt u and alpha + alpha_per_volt u.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from models.parts.part import Number
 
 @dataclass(frozen=True)
 class BoucWen(Hysteretic, Section):
-    """Hysteresis in parallel with a spring and a damper."""
+    """Bouc-Wen hysteresis in parallel with a spring and a damper."""
 
     states = (Signal("hysteresis", "z", "m", "hysteretic displacement"),)
     by_voltage: ClassVar[tuple[str, ...]] = ("alpha", "c0")

@@ -2,7 +2,8 @@
 
     F = c v + f w,    w' = rho (v - |v| w),
 
-where the state w is between -1 and 1. A voltage u changes c and f to c + damping_per_volt u and f + force_per_volt u.
+where the state w is between -1 and 1. A voltage u changes the parameters c and f to c + damping_per_volt u and f +
+force_per_volt u.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """Gas spring: a piston of area A compresses a gas of volume V, as in an air spring, a hydropneumatic strut or a gas strut.
 
-In equilibrium, the gas has the volume V_0 and carries the load W. Atmospheric pressure p_a acts on the other side of the
+In equilibrium, the gas has the volume V_0 and carries the load W. The atmospheric pressure p_a acts on the other side of the
 piston:
 
     F = W - (p - p_a) A,    p = p_0 (V_0 / V)^n,    p_0 = p_a + W / A,    V = V_0 + A d.
@@ -66,13 +66,13 @@ class GasSpring(Part, Section):
 
     @property
     def reach(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Largest deflection of the drawn characteristic [m]."""
+        """Largest deflection that the plot of the characteristic contains [m]."""
         return float(DRAWN_SHARE * np.min(self.column))
 
     def _inside(self, d: Array) -> Array:
         """Returns the deflections [m], limited so that the gas keeps at least its smallest volume.
 
-        Beyond this limit, the pressure of the gas stays constant.
+        Beyond the limit of the deflection, the pressure of the gas stays constant.
         """
         return np.maximum(d, (NARROWEST - 1) * self.column)
 

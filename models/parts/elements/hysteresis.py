@@ -4,16 +4,18 @@ If w is the velocity across the hysteretic element,
 
     z' = A w - b |w| |z|^(n-1) z - g w |z|^n,    |z| <= z_max = (A / (b + g))^(1/n).
 
-Motion away from z = 0 dissipates energy. Motion back to z = 0 returns the stored energy
+Motion that moves the state away from z = 0 dissipates energy. Motion that moves the state back to z = 0 returns the stored
+energy
 
     alpha S(z),    S = integral of x / (A + (b - g) x^n) from 0 to |z|.
 
-A parameter c with a key `..._per_volt` has the value c + c_per_volt u at a voltage u. This includes alpha. A change of the
-voltage therefore changes the stored energy alpha S(z); the coil supplies the difference.
+A parameter c with a key `..._per_volt` has the value c + c_per_volt u, where u is the voltage. This includes alpha. A change of
+the voltage therefore changes the stored energy alpha S(z); the coil supplies the difference.
 
-In the linearisation at equilibrium, z - A d is constant, where d is the travel. The constant z - A d is a mode without decay.
-No force excites the mode without decay, but controller design needs modes that decay. Linear analysis therefore assigns the
-eigenvalue -`DECAY` to this mode, which does not change any response from equilibrium.
+In the linearisation at equilibrium, z - A d is constant, where d is the travel and A a parameter of the hysteresis. The
+constant z - A d is a mode without decay. No force excites the mode without decay, but controller design requires that all modes
+decay. Linear analysis therefore assigns the eigenvalue -`DECAY` to the mode without decay. The eigenvalue does not change any
+response from equilibrium.
 """
 
 from abc import abstractmethod
@@ -83,7 +85,7 @@ class Hysteretic(Part):
         return None if most is None else (-self.voltage, most - self.voltage)
 
     def at_voltage(self, u: Array | float = 0.0) -> tuple[Any, ...]:
-        """Returns the values of the parameters `by_voltage` at voltages u relative to `voltage` [V]."""
+        """Returns the values of the parameters in `by_voltage` at voltages u relative to `voltage` [V]."""
         # A constant voltage has this shortcut, because the code runs in each stage of a time step
         if isinstance(u, float) and not u:
             return self._without_command
@@ -108,7 +110,7 @@ class Hysteretic(Part):
 
     @abstractmethod
     def springs(self, d: Array, z: Array) -> Array | float:
-        """Returns the stored energy without the energy of the hysteresis [J], shape (...)."""
+        """Returns the energy that the part stores, without the energy of the hysteresis [J], shape (...)."""
 
     def after_yield(self, v: Array, u: Array | float = 0.0) -> Array:
         """Returns the force in steady motion at constant velocities [m/s], without the force of springs [N], shape (...)."""
@@ -118,12 +120,12 @@ class Hysteretic(Part):
 
     @property
     def z_max(self) -> Number:
-        """The largest value of z."""
+        """The largest value of the hysteretic state z."""
         A, b, g, n = self.law
         return (A / (b + g)) ** (1 / n)
 
     def evolution(self, w: Array, z: Array) -> Array:
-        """Returns z', shape (...), for the velocity w [m/s] and the state z, shape (...)."""
+        """Returns z', the rate of the hysteretic state z, shape (...), for the velocity w [m/s] and the state z, shape (...)."""
         A, b, g, n = self.law
         size, speed = _magnitude(z), _magnitude(w)
         return A * w - size ** (n - 1) * (b * speed * z + g * w * size)
@@ -131,8 +133,8 @@ class Hysteretic(Part):
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.rate`.
 
-        This method is for a part whose only state is z: the velocity of the part is then the velocity across the hysteretic
-        element.
+        The method `rate` is for a part whose only state is z: the velocity of the part is then the velocity across the
+        hysteretic element.
         """
         return self.evolution(v, z[..., 0])[..., None]
 
@@ -150,7 +152,7 @@ class Hysteretic(Part):
     def storing(self, d: Array, v: Array, z: Array, u: Array | float = 0.0) -> Array:
         """Returns the rate of the stored energy at constant voltages [W], shape (...).
 
-        The rest of the power, which is `pull` times v, is dissipated.
+        The rest of the power `pull` times v is dissipated.
         """
         A, b, g, n = self.law
         rates, own = self.rate(d, v, z, u), z[..., -1]
@@ -185,14 +187,14 @@ class Hysteretic(Part):
         return float(self.after_yield(np.array(FAST)))
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the limit of the linear range: the force differs from its linearisation by the share `LEAVES` of the largest
-        force.
+        """Returns the limit of the linear range, at which the force differs from its linearisation by the share `LEAVES` of the
+        largest force.
         """
         return (Limit(CURVE, "force", 0.0, LEAVES * self.range),) if self.range else ()
 
     @property
     def fastest(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """See `Part.fastest`. The rate is largest while z approaches its limit, or while z returns from the limit."""
+        """See `Part.fastest`. The rate of z is largest while z approaches its limit, or while z returns from the limit."""
         _, b, g, n = self.law
         return float(max(b + g, abs(b - g)) * n * self.z_max ** (n - 1) * FASTEST)
 
@@ -200,6 +202,7 @@ class Hysteretic(Part):
 def _magnitude(x: Array) -> Array:
     """Returns |x|.
 
-    For a complex x, as in a complex-step derivative, the sign is the sign of the real part, so that the derivative is correct.
+    For a complex x, as in a complex-step derivative, the result is the sign of the real part, so that the derivative is
+    correct.
     """
     return np.abs(x) if np.isrealobj(x) else np.where(np.real(x) < 0, -x, x)

@@ -1,6 +1,6 @@
 """Maxwell element: a spring in series with a damper, as in a top mount, or in a damper with elastic bushings.
 
-The spring has the extension x, and the damper has the velocity v - x'. Spring and damper have the same force,
+The spring has the extension x, and the damper has the velocity v - x'. The spring and the damper have the same force,
 
     F = k x = c (v - x').
 """
@@ -18,7 +18,7 @@ from models.parts.part import Part
 
 @dataclass(frozen=True)
 class Maxwell(Part, Section):
-    """Spring in series with a damper."""
+    """Spring in series with a damper, as one force element."""
 
     states = (Signal("extension", "x", "m", "extension of the spring in series with a damper"),)
 

@@ -5,9 +5,9 @@ The dashpot c1 with the extension y is in series with all other elements, except
     F = c1 y' + k1 d,    (c0 + c1) y' = alpha z + c0 v + k0 (d - y),
     z' = A (v - y') - gamma |v - y'| |z|^(n-1) z - beta (v - y') |z|^n.
 
-The symbols gamma and beta are used as in the paper of Spencer and others; Wen's paper exchanges the two. A voltage u changes
-alpha, c0 and c1 to alpha + alpha_per_volt u, c0 + c0_per_volt u and c1 + c1_per_volt u. The force of the accumulator in
-equilibrium (k1 x0 in the paper) is part of the static load, so there is no key x0.
+The symbols gamma and beta have the same meaning as in the paper of Spencer and others; Wen's paper exchanges the two. A voltage
+u changes the parameters alpha, c0 and c1 to alpha + alpha_per_volt u, c0 + c0_per_volt u and c1 + c1_per_volt u. The force of
+the accumulator in equilibrium (k1 x0 in the paper of Spencer and others) is part of the static load, so there is no key x0.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from models.parts.part import Number
 
 @dataclass(frozen=True)
 class ModifiedBoucWen(Hysteretic, Section):
-    """Hysteretic damper with a dashpot in series and an accumulator."""
+    """Hysteretic damper with a dashpot in series and an accumulator in parallel."""
 
     states = (
         Signal("dashpot_extension", "y", "m", "extension of the dashpot c1"),

@@ -1,10 +1,11 @@
 """Hydraulic bump stop: a spring that acts beyond its stroke, and a damper whose coefficient grows with the compression.
 
-The compression x of the stop begins at its stroke. While the compression grows at the rate w, the force is
+The compression x of the stop is measured from the point at which the suspension has travelled the stroke. While the compression
+x grows at the rate w, the force of the stop is
 
     F = x (k + c w).
 
-While the stop opens, the hydraulic chamber gives no force, so F = k x.
+While the stop opens, the hydraulic chamber gives no force, so the force of the stop is F = k x.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ from models.parts.part import BUMP_STOP, Limit, Part
 
 @dataclass(frozen=True)
 class HydraulicStop(Part, Section):
-    """Hydraulic bump stop, in compression of the suspension only."""
+    """Hydraulic bump stop, which acts only in compression of the suspension."""
 
     contact = True
 
@@ -36,7 +37,7 @@ class HydraulicStop(Part, Section):
         return self.stiffness * np.square(np.maximum(-d - self.stroke, 0.0)) / 2
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the stroke as the limit of the linear range."""
+        """Returns the stroke of the stop as the limit of the linear range."""
         return (Limit(BUMP_STOP, "deflection", -1.0, self.stroke),)
 
     @property

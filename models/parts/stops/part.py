@@ -21,7 +21,7 @@ from models.parts.stops.stop import SLACK, Stop, StopTable, pair_words
 
 @dataclass(frozen=True)
 class Stops(Part):
-    """Bump stops of a suspension, one on each side."""
+    """Bump stops of a suspension, at most one on each side."""
 
     contact = True
     stores = True
@@ -33,7 +33,7 @@ class Stops(Part):
 
     @property
     def sides(self) -> dict[str, tuple[float, Stop]]:
-        """Sign of the deflection, and the stop, for each side that has a stop, by name of the side (`SIDES`)."""
+        """Sign of the deflection, and the stop, for each side that has a stop; the keys are the names of the sides (`SIDES`)."""
         both = zip(SIDES, ((-1.0, self.bump), (1.0, self.rebound)), strict=True)
         return {side: (sign, stop) for side, (sign, stop) in both if math.isfinite(stop.stroke)}
 
@@ -52,7 +52,7 @@ class Stops(Part):
         return sum((stop.work(beyond) for _, stop, beyond in self._squeezed(d)), np.zeros_like(d))
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the strokes as limits of the linear range."""
+        """Returns the strokes of the stops as limits of the linear range."""
         return [Limit(BUMP_STOP, "deflection", sign, stop.stroke) for sign, stop in self.sides.values()]
 
     def _squeezed(self, deflection: Array) -> tuple[tuple[float, Stop, Array], ...]:
@@ -62,8 +62,8 @@ class Stops(Part):
     def write(self, tendon: Tendon) -> None:
         """Writes the stops as springs whose dead band is the stroke, or as segments of a table. See `Part.write`.
 
-        If both sides have the same odd force (no x^2 term), one spring represents both. Otherwise, each side has a spring that
-        is slack while the suspension is deflected to the other side.
+        If the stops on both sides have the same odd force (no x^2 term), one spring represents both stops. Otherwise, each stop
+        has a spring that is slack while the suspension is deflected to the other side.
         """
         bump, rebound = self.bump.stiffness, self.rebound.stiffness
         low, high = tendon.rest - self.bump.stroke, tendon.rest + self.rebound.stroke

@@ -14,7 +14,7 @@ MOST = 3  # largest number of coefficients of a stop; MuJoCo's polynomial spring
 
 @dataclass(frozen=True)
 class StopPair:
-    """Values of a bump stop for bump and for rebound. The value is None for a side without a stop."""
+    """Values that a key of a bump stop has for bump and for rebound. The value is None for a side without a stop."""
 
     bump: Any
     rebound: Any
@@ -22,9 +22,9 @@ class StopPair:
 
 @dataclass(frozen=True)
 class OfSides(Key):
-    """A value for both sides, or a table { bump = ..., rebound = ... } with a value for each side.
+    """One value for both sides of a suspension, or a table { bump = ..., rebound = ... } with a value for each side.
 
-    An omitted side has no stop.
+    If a side is omitted, it has no stop.
     """
 
     one: Key
@@ -34,7 +34,7 @@ class OfSides(Key):
         object.__setattr__(self, "unit", self.one.unit)
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns the value that both sides share, or a `StopPair`."""
+        """Returns the value that both sides of a suspension share, or a `StopPair`."""
         if not isinstance(value, Mapping) or {"force", "file"} & set(value):
             return self.one.read(value, context)
         # In a log, a side without a stop has the value null
@@ -48,20 +48,20 @@ class OfSides(Key):
 
     @property
     def json(self) -> Mapping[str, Any]:
-        """The JSON schema of one value for both sides, or of a table with a value for each side."""
+        """The JSON schema of one value for both sides of a suspension, or of a table with a value for each side."""
         one = dict(self.one.json)
         return {"anyOf": [one, {"type": "object", "properties": dict.fromkeys(SIDES, one), "additionalProperties": False}]}
 
 
 @dataclass(frozen=True)
 class StopStiffness(Key):
-    """A stiffness, a list of up to three coefficients, or a table of force against compression."""
+    """Stiffness of a stop, a list of up to three coefficients, or a table of force against compression."""
 
     meaning: str = ""
     unit: str = "N/m"
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns the stiffness, a tuple of coefficients, or a `StopTable`."""
+        """Returns the stiffness of a stop, a tuple of coefficients, or a `StopTable`."""
         if isinstance(value, Mapping):
             return FEATURES.load("stops").read_stop_table(value)
         if not isinstance(value, (list, tuple)):
@@ -76,7 +76,7 @@ class StopStiffness(Key):
 
     @property
     def json(self) -> Mapping[str, Any]:
-        """The JSON schema of a number, a list of coefficients, or a table."""
+        """The JSON schema of the stiffness of a stop: a number, a list of coefficients, or a table."""
         number = SI(self.unit).json
         several = {"type": "array", "items": SI(self.unit, low=0.0).json, "minItems": 1, "maxItems": MOST}
         table = json_schema(FEATURES.load("curves in files").StopTableSection)

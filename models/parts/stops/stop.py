@@ -1,13 +1,14 @@
-"""Bump stops in `[limits]` of a vehicle file: linear or progressive, equal or different on both sides, per corner or axle.
+"""Bump stops in `[limits]` of a vehicle file: linear or progressive, equal or different in bump and rebound, for each corner or
+axle.
 
-A stop touches when the suspension has travelled its stroke. A stop that is compressed by x pushes back with the force x (k_1 +
-k_2 x + k_3 x^2), because the stiffness of rubber grows with compression. A single number is the stiffness of a linear stop. A
-list of up to three numbers describes a progressive stop, and a table gives the force at each point. The form {bump, rebound}
-gives a value for each side; an omitted side has no stop.
+A stop makes contact when the suspension has travelled the stop's stroke. A stop that is compressed by x pushes back with the
+force x (k_1 + k_2 x + k_3 x^2), because the stiffness of rubber grows with compression. A single number in the file is the
+stiffness of a linear stop. A list of up to three numbers describes a progressive stop, and a table contains the force at each
+compression. The form {bump, rebound} gives a value for each side; an omitted side has no stop.
 
-If the file gives a stroke for a side, the argument of the table is the compression of the stop. If the file gives no stroke,
-the argument is the compression of the suspension, and the force is 0 up to the stop. The rebound stop uses the negative
-compressions, if the table has any.
+If the file gives a stroke for a side, the table contains the force as a function of the compression of the stop. If the file
+gives no stroke, the table contains the force against the compression of the suspension; the force is 0 up to the stop. For the
+rebound stop, the negative compressions in the table are used, if the table has any.
 
 The name of a section in `[limits]` is the name of a corner, or the common beginning of several names. For example, `rear` means
 rear_left and rear_right. If a key is missing in a section, its value is taken from a section that applies to more corners. For
@@ -37,12 +38,14 @@ ROUNDING = 1e-9  # a force below this share of the largest force of its table co
 
 @dataclass(frozen=True)
 class StopTable:
-    """Table of the force of a stop against compression. The force is interpolated linearly, and extrapolated with the last slope.
+    """Table of the force of a stop against compression. The force is interpolated linearly, and extrapolated with the slope at
+    the end of the table.
 
     Attributes:
         compression: compression of the stop or of the suspension, ascending [m].
-        force: force at each point [N], positive if it resists compression.
-        fit_error: largest error of an approximation with fewer points, relative to the largest force; None for the default.
+        force: force at each compression [N], positive if the force resists compression.
+        fit_error: largest error of an approximation of the table with fewer points, relative to the largest force; None for the
+            default.
         note: phrase with a remark about the table.
     """
 
@@ -66,16 +69,16 @@ class StopTable:
 
 @lru_cache(maxsize=64)
 def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None":
-    """Returns the stop that a table gives for one side; None if no stroke is given and the table contains no force on this
+    """Returns the stop that a table describes for one side; None if no stroke is given and the table contains no force on this
     side.
 
     Args:
-        table: table against the compression of the stop or, without a stroke, of the suspension.
-        sign: sign of the deflection on this side.
-        stroke: travel to the beginning of the stop [m]; None if the table contains this travel.
+        table: table of the force against the compression of the stop or, without a stroke, of the suspension.
+        sign: sign of the suspension's deflection on the side of the stop.
+        stroke: travel to the contact with the stop [m]; None if the table contains this travel.
 
     Raises:
-        InputError: the stop touches in equilibrium, makes contact at a travel that differs from the stroke, or pulls instead of
+        InputError: the stop makes contact in equilibrium or at a travel that differs from the stroke, or pulls instead of
             pushing.
     """
     u, force = np.array(table.compression), np.array(table.force)
@@ -116,11 +119,11 @@ Stiffness = float | tuple[float, ...] | StopTable
 
 @dataclass(frozen=True)
 class Stop:
-    """Bump stop on one side.
+    """Bump stop on one side of a suspension.
 
     Attributes:
-        stroke: travel from equilibrium to the beginning of the stop [m]; infinity without a stop.
-        stiffness: k_1, k_2 and k_3 [N/m, N/m2, N/m3], or the table of its force.
+        stroke: travel from equilibrium to the contact with the stop [m]; infinity without a stop.
+        stiffness: k_1, k_2 and k_3 [N/m, N/m2, N/m3], or the table of the stop's force.
     """
 
     stroke: float
@@ -132,7 +135,9 @@ class Stop:
         return isinstance(self.stiffness, StopTable) or any(self.stiffness)
 
     def at_wheel(self, ratio: float) -> "Stop":
-        """Returns the equivalent stop at the wheel for the motion ratio r: if this stop has the force F(x), r F(r x)."""
+        """Returns the equivalent stop at the wheel for the motion ratio r: its force is r F(r x) if this stop has the force
+        F(x).
+        """
         law = self.stiffness
         if isinstance(law, StopTable):
             both = (law.compression, 1 / ratio), (law.force, ratio)
@@ -160,7 +165,7 @@ BumpAndRebound = tuple[Stop, Stop]  # stops in bump and rebound; the stroke of a
 
 
 def pair_words(pair: BumpAndRebound) -> str:
-    """Describes both strokes and the type of the stops of a suspension."""
+    """Describes the strokes in bump and rebound, and the type of the stops of a suspension."""
     bump, rebound = pair
     given = [(sign, side, stop) for sign, side, stop in zip((-1.0, 1.0), SIDES, pair, strict=True) if math.isfinite(stop.stroke)]
     if bump.stroke == rebound.stroke:
@@ -180,7 +185,8 @@ def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> B
 
     Args:
         stroke: one stroke for both sides, or a stroke for each side [m].
-        stiffness: one stiffness, list of coefficients or table for both sides, or one of these for each side.
+        stiffness: one stiffness, list of coefficients or table for both sides, or a separate stiffness, list or table for each
+            side.
 
     Raises:
         InputError: a table is not valid for a stop; see `stop_of`.
@@ -213,7 +219,7 @@ def _of_side(value: Any, side: str) -> Any:
 
 
 def read_stop_table(value: Mapping[str, Any]) -> StopTable:
-    """Returns the table of a stop in a vehicle file. Messages contain `HERE` instead of the key of the table."""
+    """Returns the table of a stop in a vehicle file. Messages about the table of a stop contain `HERE` instead of its key."""
     from models.characteristics.curve_reading import StopTableSection
 
     given = read(HERE, StopTableSection, value)
@@ -235,12 +241,12 @@ def holds(place: str, corner: str) -> bool:
 
 
 def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[str]) -> dict[str, StopSection]:
-    """Returns the stop sections of corners and axles, by name.
+    """Returns the sections of corners and axles that contain keys of bump stops, by name.
 
     Args:
         common: keys of bump stops for all suspensions.
-        own: sections of corners and axles.
-        corners: names of the corners with suspensions; an empty name for a single suspension.
+        own: sections of `[limits]` for corners and axles.
+        corners: names of the corners that have suspensions; one empty name for a single suspension.
 
     Raises:
         InputError: a section or key is unknown, a value is not allowed, or a corner has only one of stroke and stiffness.
@@ -268,13 +274,13 @@ def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[s
 
 
 def places_of(corners: Sequence[str]) -> tuple[str, ...]:
-    """Returns the allowed names of sections: the corners, and the common beginnings of their names."""
+    """Returns the names that sections may have: the corners, and the common beginnings of their names."""
     parts = [corner.split("_") for corner in corners if corner]
     return tuple(dict.fromkeys("_".join(part[:k]) for part in parts for k in range(1, len(part) + 1)))
 
 
 def stops_at(places: Mapping[str, StopSection], corner: str) -> BumpAndRebound | None:
-    """Returns the stops of a corner, or None if it has no stops. A stop without a stiffness gives no force."""
+    """Returns the stops of a corner, or None if it has no stops. A stop for which no stiffness is given has no force."""
     stroke, stiffness = (_corner_key(places, corner, key) for key in STOP_KEYS)
     pair = stops(stroke, stiffness or 0.0)
     return pair if any(math.isfinite(stop.stroke) for stop in pair) else None
@@ -290,7 +296,7 @@ def stop_words(by_corner: Mapping[str, BumpAndRebound | None]) -> list[str]:
 
 
 def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
-    """Returns the shortest names of places that contain exactly the given corners."""
+    """Returns the shortest names of places that contain exactly the specified corners."""
     if len(corners) == len(corners_of_vehicle):
         return ""
     names = []
@@ -304,7 +310,7 @@ def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
 def _corner_key(places: Mapping[str, StopSection], corner: str, key: str) -> Any:
     """Returns the value that a key of bump stops has for a corner; None if no section has the key.
 
-    If several sections have the key, the value of the section for the fewest corners is used.
+    If several sections contain the key, the value in the section for the fewest corners is used.
     """
     values = {name: value for name, one in places.items() if holds(name, corner) and (value := getattr(one, key)) is not None}
     return values.get(max(values, key=len, default=""))
