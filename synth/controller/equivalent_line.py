@@ -1,7 +1,7 @@
-"""Statistical linearisation: straight lines that best fit the nonlinear characteristics of a vehicle over a random road.
+"""Statistical linearisation: straight lines that best fit the nonlinear characteristics of a vehicle on a random road.
 
-Over a random road, a signal y is nearly Gaussian, with mean m and standard deviation s. The line that fits a characteristic F
-with the least mean-square error has the mean force and the mean slope of F:
+On a random road, a signal y is nearly Gaussian, with mean m and standard deviation s. The line that fits a characteristic F of
+this signal with the least mean-square error has the mean force and the mean slope of F:
 
     F(y) ~ E F + E F' (y - m),    E F' = c_0 + sum over knots of d_i Q((k_i - m) / s),
     E F = F(first knot) + c_0 (m - first knot) + sum of d_i s (phi(a_i) - a_i Q(a_i)),    a_i = (k_i - m) / s.
@@ -45,7 +45,7 @@ class EquivalentLine:
         curves: the e characteristics. A position-dependent damper is represented by its mean over all deflections.
         signals: names of the signals on which the characteristics depend.
         deflections: names of the deflections along which the forces of the characteristics act.
-        slopes: slopes of the lines at the wheel, shape (e,).
+        slopes: slope of the line for each characteristic, with force and motion taken at the wheel, shape (e,).
         mean: mean of every output signal, by name [unit of the signal].
         rounds: number of iterations until the slopes were consistent with the motion of the linear vehicle.
     """
@@ -62,7 +62,8 @@ class EquivalentLine:
 def equivalent_line(
     vehicle: Vehicle, controller: Controller, deviations: Callable[[Vehicle, Sequence[str]], Array | None]
 ) -> EquivalentLine | None:
-    """Returns the linear vehicle that replaces a nonlinear vehicle; None if the iteration finds no consistent and stable loop.
+    """Returns the linear vehicle that replaces a nonlinear vehicle; None if the iteration finds no consistent slopes with which
+    the loop is stable.
 
     Args:
         vehicle: vehicle with nonlinear characteristics.

@@ -1,4 +1,5 @@
-"""Integral action: converts a law whose states include integrals of its measurements to a law on these integrals, and back.
+"""Integral action: converts a law whose states include integrals of its measurements to a law that measures these integrals,
+and back.
 
 If z contains a weighted integral, the integral must return to zero; otherwise z has no finite norm. A law designed for such a z
 therefore feeds the integral back. The first states of the law are integrals of its measurements, x_c' = S y. The same integrals
@@ -38,7 +39,7 @@ def with_integrators(law: LinearLaw, integrated: Array) -> LinearLaw:
 
 
 def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[int, float]]:
-    """Returns the integrals that are states of a continuous law.
+    """Finds the states of a continuous law that are integrals of its measurements.
 
     Args:
         law: law on the measurements.
@@ -60,12 +61,12 @@ def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[
 
 
 def on_integrals(law: LinearLaw, integrated: Array | None, kept: Mapping[int, tuple[int, float]]) -> LinearLaw:
-    """Converts a law on the measurements y to a law on [y; integrals of S y]. States that are such integrals are removed.
+    """Converts a law on the measurements y to a law on [y; integrals of S y]. States that are integrals of S y are removed.
 
     Args:
         law: law on the measurements.
         integrated: matrix S, shape (j, q); None if there are no integrals.
-        kept: result of `integrators_of`. The gain on integrals that the law does not contain is zero.
+        kept: result of `integrators_of`. If the law does not contain an integral, the gain on this integral is zero.
     """
     if integrated is None:
         return law
@@ -79,15 +80,16 @@ def on_integrals(law: LinearLaw, integrated: Array | None, kept: Mapping[int, tu
 
 
 def settled_integrals(loop: Plant, plant: Plant, lacking: Sequence[int]) -> Array | None:
-    """Returns integrals as linear combinations of the other states of a loop, shape (len(lacking), n - len(lacking)).
+    """Returns integrals as linear combinations of the other states of a loop; the coefficients have the shape (len(lacking), n
+    - len(lacking)).
 
-    The result is None if such an integral does not return to zero. This is the case if the rest of the loop does not decay, or
-    if w acts on the integrated signal at 0 rad/s.
+    The result is None if one of these integrals does not return to zero. An integral does not return to zero if the rest of the
+    loop does not decay, or if w acts on the integrated signal at 0 rad/s.
 
     Args:
         loop: closed loop with n states, in which the integrals affect only z.
         plant: plant without the states of the law; its states are the first states of the loop.
-        lacking: indices of the states that are integrals which the law does not contain.
+        lacking: indices of the loop's states that are integrals, but that the law does not contain.
     """
     stay = np.setdiff1d(np.arange(len(loop.A)), lacking)
     A, c, d = loop.A[stay][:, stay], loop.A[lacking][:, stay], loop.Bw[lacking]

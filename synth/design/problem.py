@@ -55,7 +55,8 @@ class WellPosedProblem:
     """Problem (22) of a plant, regularised if it is degenerate.
 
     Attributes:
-        plant: plant for which the design is made, which is the given plant unless its problem is degenerate.
+        plant: plant for which the controller is designed; this is the given plant unless the problem of the given plant is
+            degenerate.
         case: description of the degeneracy of the given problem; empty if the problem is not degenerate.
         best: state gain that is known to be optimal, shape (m, n); None if no such gain is known.
         best_case: description of the degeneracy that makes `best` optimal.
@@ -80,8 +81,8 @@ class DesignProblem:
 
     Attributes:
         plant: plant with n states, m inputs and q measurements y = C_y x + Dyw w.
-        order: "static" for a gain, or "full" for a law with as many states as the plant. If a `structure` is given, the order
-            of this structure is used.
+        order: "static" for a gain, or "full" for a law with as many states as the plant. If `structure` is given, its order is
+            used instead.
         structure: structure of a law with fewer states than the plant; None if there is no such structure.
         design: name in `DESIGNS`, such as "h2" to minimise the mean square of z. If the name is empty, the H-infinity norm is
             minimised.
@@ -94,16 +95,16 @@ class DesignProblem:
         sampled: sampled-data problem, in which w does not contain the measurement noise; None to design for the ideal
             continuous loop.
         sampled_bound: lower bound on the norm of the sampled-data loop, if it is known.
-        known: laws from which a search starts. For a static gain of the sampled-data loop, these are gains designed for the
-            ideal loop.
+        known: laws from which a search starts. For a static gain of the sampled-data loop, these laws are gains designed for
+            the ideal loop.
         near: estimate of the norm of the sampled-data loop, from which the search for this norm starts.
         goals: norm to minimise and bounds to fulfil in the design of a static gain; None for a design without goals.
         errors: plant with frequency-weighted uncertainties, for a design of robust performance; None for other designs.
         alternatives: True to compute a lower bound for a static gain, and to continue the design if the two steps end above
-            this bound. Another method is then also used if Riccati equations fail. For a vehicle file, this is False, so that
-            the result of the two steps is not changed.
-        thorough: True to compute the lower bound of a sampled-data loop, and to report what is not proved for a family of
-            plants.
+            this bound. If `alternatives` is True, another method is also used if Riccati equations fail. For a vehicle file,
+            `alternatives` is False, so that the result of the two steps is not changed.
+        thorough: True to compute the lower bound of a sampled-data loop, and to report which properties are not proved for a
+            family of plants.
         lower_bound: lower bound on the norm of every controller from these measurements, if known.
         states: names of the states, used in error messages.
         path: function that returns the central path of (22) if it is known, or raises a DesignError.
@@ -144,7 +145,7 @@ class DesignProblem:
     failure: Exception | None = None
 
     def starting(self, start: "DesignResult") -> "DesignProblem":
-        """Returns this problem with the result from which the next method continues."""
+        """Returns this problem, extended by the result from which the next method continues."""
         return replace(self, start=start)
 
     def certified(self, law: LinearLaw) -> Certificate:
@@ -180,8 +181,8 @@ class DesignResult(ShownResult):
             measurements is zero.
         case: description of the degeneracy of (22), for which no gain or every gain is optimal; empty if (22) is not
             degenerate.
-        instead: name of the fallback method, and the reason why the two steps found no gain, as text; empty if they found a
-            gain.
+        instead: text with the name of the fallback method, and the reason why the two steps found no gain; empty if they found
+            a gain.
         state_step_gap: relative gap in gamma between the optimum of (22) and the point of the central path whose X gives L
             (14). This gap is 0 at the limit of the path. The gap is larger if the second problem has no solution for the X at
             the limit.
@@ -194,8 +195,8 @@ class DesignResult(ShownResult):
             digit of the gain agrees with the optimal gain.
         origin: description of the starting point from which the search found the law; empty if there was no search.
         two_steps: result of the two steps, if the search for a static gain also started from this result; otherwise None.
-        starts: number of other stable points from which this search started.
-        preview: force from the road ahead, which is added to the force of the law; None if there is no preview.
+        starts: number of other stable points from which the search for a static gain started.
+        preview: force that is computed from the road ahead and added to the force of the law; None if there is no preview.
         without: value that the objective would have without preview.
         trade: Pareto front of the norm and the speed of full-order laws, the slowest first. The front is empty if the law is
             close to the lower bound and not fast. For a discrete plant, the laws belong to its continuous counterpart.
@@ -238,7 +239,7 @@ class DesignResult(ShownResult):
     def stable(self) -> bool:
         """True if the law itself is stable.
 
-        The states of an unstable law grow when the loop is open, for example when a force saturates.
+        The states of an unstable law grow when the loop is open, for example while a force is saturated.
         """
         return is_stable(self.law.A, self.law.sample_period)
 
@@ -275,7 +276,7 @@ class DesignResult(ShownResult):
 
     @property
     def figures(self) -> "tuple[Figure, ...]":
-        """Plot of the largest singular value of the closed loop over frequency."""
+        """Plot of the largest singular value of the closed loop against frequency."""
         return self.certificate.figures
 
 

@@ -72,7 +72,7 @@ LIMIT = 3e4
 
 
 class Candidate(NamedTuple):
-    """Point with a stable loop, its norm, and the start from which it was found."""
+    """Point with a stable loop, norm of this loop, and starting point from which the search found it."""
 
     x: Array
     norm: float
@@ -110,8 +110,8 @@ def static_output_feedback(
         Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). Default: zero if Cy is given, otherwise
             the Dyw of the plant. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting
             points.
-        rival: norm that another design reaches. The search ends early if the norms of the gains found stay far above this norm.
-            Default: infinity, if there is no other design.
+        rival: norm that is reached by another design. The search ends early if the norms of the gains found stay far above this
+            norm. Default: infinity, if there is no other design.
 
     Returns:
         The law u = K y with K of shape (m, q), its certificate, and the starting point from which it was found.
@@ -203,8 +203,8 @@ class GainSearch:
         largest_gain: largest allowed |K_ij|, in the units of the plant.
         lower_bound: lower bound on the norm for this type of controller; 0 if no bound is known.
         structure: mask of the gain entries that may be nonzero, as in `Landscape`.
-        alike: function that returns an equivalent point with the same closed loop. The entries of this point are compared with
-            the limit.
+        alike: function that returns an equivalent point with the same closed loop. The entries of the equivalent point are
+            compared with the limit.
         enough: relative gap between the norm and its lower bound below which the search ends.
         rival: norm that another design reaches, as in `static_output_feedback`.
         work: counter of the computing work of the search. A descent ends if the limit of this counter is exceeded. Default: no
@@ -230,7 +230,7 @@ class GainSearch:
     def starts(self, most: int = MOST) -> list[Candidate]:
         """Returns stable starting points with gains of many magnitudes.
 
-        If no stable point is found, more stabilising starts are tried, up to `most`.
+        If no stable point is found, more stabilising starting points are tried, up to `most`.
         """
         sampled = survey(self.landscape, self.limit)
         candidates = self.feasible_candidates(np.zeros_like(self.limit), "no control")
@@ -281,7 +281,9 @@ class GainSearch:
         return least * K
 
     def successive_halving(self, candidates: list[Candidate]) -> Candidate:
-        """Returns the best candidate by successive halving: brief descents from all candidates, longer ones from the best."""
+        """Returns the best candidate by successive halving: brief descents from all candidates, longer descents from the best
+        candidates.
+        """
         n, best = len(self.plant.A), sorted(candidates, key=lambda each: each.norm)
         most = AGAINST if np.isfinite(self.rival) else ALL if n <= LARGE else max(1, int(MOST_STARTS * (LARGE / n) ** 3))
         for rounds, count, behind in HEATS:

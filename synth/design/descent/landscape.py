@@ -12,11 +12,12 @@ frequencies. The measurements of the continuous plant contain the force, as an a
 for measurements without the force is (I - K Dyu)^-1 K.
 
 If two measurements are large and nearly equal, the norm depends strongly on the gain that acts on their sum. The norm hardly
-depends on the gain that acts on their difference. An example is a slowly drifting reference and the position that follows it. A
-similar problem occurs if two forces nearly cancel in z. As a function of the gain entries, the norm then has a narrow valley. A
-change dK of the gain changes z by T_zu dK T_yw w. In suitable coordinates, there is no valley. These coordinates make the
-measurements uncorrelated and of equal size if w is white noise. These coordinates also make the responses of z to white-noise
-forces orthogonal and of equal size. The curvature of a quadratic cost is then the same in all directions (natural gradient).
+depends on the gain that acts on the difference of the two measurements. An example is a slowly drifting reference and a
+position that follows this reference. A similar problem occurs if two forces nearly cancel in z. In such cases, the norm, as a
+function of the gain entries, has a narrow valley. A change dK of the gain changes z by T_zu dK T_yw w. In suitable coordinates,
+there is no valley. These coordinates make the measurements uncorrelated and of equal size if w is white noise. These
+coordinates also make the responses of z to white-noise forces orthogonal and of equal size. The curvature of a quadratic cost
+is then the same in all directions (natural gradient).
 """
 
 import contextlib
@@ -172,7 +173,7 @@ class Landscape:
         plant: generalised plant with n states, m inputs, r disturbances and q measurements.
         structure: mask, shape (m, q): True for entries of K that may be nonzero. None if all entries may be nonzero.
         work: counter of the computing work that is spent on norms. Default: a counter without a limit.
-        band: lower and upper limit of the frequencies [rad/s] at which gains count; all frequencies by default.
+        band: lower and upper limit of the frequencies [rad/s] over which the norm is taken; all frequencies by default.
         """
         image, self.before = continuous_image(plant)
         self.band = mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt)
@@ -212,7 +213,9 @@ class Landscape:
         return flat if self.free is None else flat[..., self.free]
 
     def acting(self, x: Array) -> Array:
-        """Returns the equivalent gain without Dyu, (I - K Dyu)^-1 K, for each point, shape (..., m, q); NaN if none exists."""
+        """Returns, for each point, the gain (I - K Dyu)^-1 K, which has the same effect without Dyu, shape (..., m, q); NaN if
+        none exists.
+        """
         K = self.gain(x) - self.before
         if not self.through:
             return K
@@ -242,7 +245,7 @@ class Landscape:
 
         The closed loop has a new input v: u = K y + v. The last result is cached.
 
-        The matrices of the result describe the effect of a change of the gain, including the effect through Dyu. All entries
+        The matrices of the loop describe the effect of a change of the gain, including the effect through Dyu. All entries
         are NaN if the loop equation has no solution.
         """
         key = x.tobytes()
@@ -336,7 +339,8 @@ class Landscape:
         return self.of_entries(np.real(np.outer(seen @ loop.B + adjoint @ loop.D, measured) * self.scale))
 
     def cuts(self, x: Array, omega: Array, floor: float) -> Cuts:
-        """Returns cuts for the singular values >= `floor` at given frequencies, and cuts for mixtures of similar singular values.
+        """Returns cuts for the singular values >= `floor` at given frequencies, and cuts for mixtures of singular vectors with
+        similar singular values.
 
         The largest singular value always gives one cut. If singular values are similar, any mixture of their vectors may give
         the largest value at a nearby point, so four mixtures are added.
@@ -440,7 +444,7 @@ class Landscape:
         return np.unique(np.concatenate([ends, np.clip(inside, low, high), modes.far[:beyond]]))
 
     def moving(self, omega: Array) -> Array:
-        """Returns True for each frequency at which a peak moves if the gain changes.
+        """Returns True for each frequency whose peak moves to another frequency if the gain changes.
 
         A peak at zero frequency does not move, because the response is an even function of frequency. A peak at an end of the
         band does not move, because the gain rises beyond this end.
@@ -472,7 +476,9 @@ SMALLEST = 1e-12
 
 
 def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
-    """Returns the matrix M, shape (N, N), of balanced coordinates t at a stable point x. Another point is then x + M t."""
+    """Returns the matrix M, shape (N, N), which defines balanced coordinates t at a stable point x. The coordinates t represent
+    the point x + M t.
+    """
     loop = landscape.loop(x)
     triangle, basis = linalg.schur(loop.A)  # pyright: ignore[reportAssignmentType]
     w, y, u, z = basis.T @ loop.Bw, loop.Cy @ basis, basis.T @ loop.B, loop.C @ basis
@@ -516,7 +522,8 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
 
 
 def _within(M: Array, free: Array) -> Array:
-    """Returns a square matrix of coordinates for only the free entries. Lengths of steps are the same as in the coordinates M.
+    """Returns a square matrix of coordinates for only the free entries. Each step has the same length in these coordinates as
+    in the coordinates M.
 
     Raises:
         LinAlgError: M is singular.

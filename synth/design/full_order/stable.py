@@ -30,10 +30,10 @@ LARGER = 10.0  # largest allowed entry of the law, relative to the largest entry
 
 
 def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], most: int) -> list[TradeOffPoint]:
-    """Returns laws that are themselves stable and have stable loops.
+    """Returns laws that are themselves stable and that make the loop stable.
 
     Args:
-        search: search for laws for the plant; the internal units of this search are used.
+        search: search for laws for the plant; its internal units are used.
         fits: function that returns True if a law is itself stable and its loop is slow enough.
         most: largest number of entries of a law from which a descent continues.
     """
@@ -64,9 +64,9 @@ def descend_stable(plant: Plant, start: Array, states: int, light: float, struct
 
     Args:
         plant: plant with the law's states, and the measurements on which the gain acts.
-        start: gain of the stable law from which the descent starts; its loop must also be stable.
+        start: gain of the stable law from which the descent starts; the loop with this law must also be stable.
         states: number k of the law's states.
-        light: weight of the law's own states.
+        light: weight of the law's states in the second plant.
         structure: mask: True for entries that may be nonzero. None if all entries may be nonzero.
 
     Raises:

@@ -23,8 +23,8 @@ class BandLandscape(Landscape):
         """Args:
         plant: generalised plant with n states, m inputs, r disturbances and q measurements.
         band: lower and upper frequency [rad/s].
-        like: landscape whose scales of gain entries are used, so that the same points represent the same gains; None to use
-            the plant's own scales.
+        like: landscape whose scales of gain entries are used, so that equal points represent equal gains; None to use the
+            plant's own scales.
         """
         super().__init__(plant, band=band)
         self.own = len(plant.A) - plant.weights

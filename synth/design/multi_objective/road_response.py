@@ -1,4 +1,4 @@
-"""Exact response of a closed loop to a road, and the largest value of a signal over this road.
+"""Exact response of a closed loop to a road, and the largest value of a signal on this road.
 
 The road heights under the wheels are z, and w = z' is the road velocity. The substitution x = xi + Bw z turns x' = A x + Bw w +
 Br z into xi' = A xi + (A Bw + Br) z. The road velocity, which jumps at a kink and is infinite at a vertical edge, does not
@@ -73,7 +73,7 @@ class RoadLoop:
         return plant.A + plant.B @ G, plant.C[0] + plant.D[0] @ G
 
     def after(self, K: Array) -> Array:
-        """Returns (I - K Dyu)^-1, shape (m, m); NaN if it does not exist."""
+        """Returns (I - K Dyu)^-1, shape (m, m); NaN if this inverse does not exist."""
         try:
             return np.linalg.inv(np.eye(len(K)) - K @ self.plant.Dyu)
         except np.linalg.LinAlgError:
@@ -99,7 +99,7 @@ class QuadratureInterval:
 
 
 class RoadResponse:
-    """Motion of one plant with different gains over one road, at equidistant times.
+    """Motion of one plant on one road, with different gains, at equidistant times.
 
     Attributes:
         h: time between two computed points of the motion [s].
@@ -109,7 +109,7 @@ class RoadResponse:
 
     def __init__(self, driven: RoadLoop, step: float, length: float) -> None:
         """Args:
-        driven: plant, the road on which it moves, and the bounded signal.
+        driven: plant, road that excites the plant, and bounded signal.
         step: time step [s].
         length: approximate duration of the computed motion [s].
         """
@@ -150,7 +150,7 @@ class RoadResponse:
         return intervals
 
     def _nodes(self, starts: Array, lengths: Array) -> Array:
-        """Returns the road heights at the quadrature nodes of steps, shape (T, NODES, r)."""
+        """Returns the road heights at the quadrature nodes of the given time steps, shape (T, NODES, r)."""
         times = starts[:, None] + lengths[:, None] * self.s
         return self.driven.drive.heights(times.ravel()).reshape(len(starts), NODES, -1)
 
@@ -268,9 +268,9 @@ def _real_product(a: Array, b: Array) -> Array:
 
 
 def _finite(rates: Array) -> Array:
-    """Returns the rates with infinite values replaced by zero.
+    """Returns the derivatives of the road heights, with infinite values replaced by zero.
 
-    Infinite rates occur at vertical edges of the road, where cubics are not used.
+    Infinite derivatives occur at vertical edges of the road, where cubics are not used.
     """
     return np.where(np.isfinite(rates), rates, 0.0)
 
@@ -279,7 +279,7 @@ def step_for(rate: float, share: float, end: float) -> float:
     """Returns a time step that is short enough for the fastest motion and for the road.
 
     In one step, the phase of the fastest motion advances by `share`. If the road is short, the step is reduced to 1/200 of the
-    road's duration, but to no less than an eighth of its length.
+    road's duration, but at most by a factor of 8.
 
     Args:
         rate: magnitude of the fastest pole [rad/s].
