@@ -48,8 +48,8 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
         degeneracy: text that explains why problem (22) of the paper has no optimum, or why every gain is optimal; else empty.
         fallback_method: text with the name of the fallback method, and the reason why the two-step method found no gain; empty
             if no fallback was used.
-        remarks: additional notes. If the two steps did not design the law, these notes give the law's gap to the optimum, or
-            its objective.
+        remarks: additional notes. If the two-step method did not design the law, the notes give the gap between its norm and
+            the optimum, or its objective.
         false_claims: descriptions of the claims that the vehicle file makes about the controller and that do not hold.
         hardware: sensor noise, actuator lag and loads that the certificate takes into account.
         sampled: True if the controller was designed for the sampled-data loop. The certificate still describes the ideal loop.
@@ -116,7 +116,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def growth(self) -> float:
-        """Growth rate of the fastest growing state of the law without measurements [1/s]; see `ControlLaw`."""
+        """Growth rate of the fastest growing state of the law itself [1/s]; see `ControlLaw`."""
         return self.law.growth
 
     @property
@@ -221,7 +221,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
             vehicle: vehicle with the measured signals of the controller.
 
         Raises:
-            ValueError: the law has states. `loop` accepts any law.
+            ValueError: the law has states. The method `loop` also accepts laws with states.
         """
         if self.law.states:
             raise ValueError(f"controller {self.name!r} has states and therefore no state gain; use loop(vehicle)")
@@ -237,8 +237,8 @@ else:
 
 
 def is_linear(controller: AnyController, vehicle: Vehicle) -> TypeGuard[Controller]:
-    """Returns True if a run is linear until a limit is reached, because the law is linear and does not act on semi-active
-    dampers.
+    """Returns True if a simulation with the controller is linear until a limit is reached, because the law is linear and does
+    not act on semi-active dampers.
     """
     return controller.linear is True and not (vehicle.dampers and controller.acts)
 
@@ -248,7 +248,7 @@ def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
     as the controllers compute.
 
     Raises:
-        InputError: a law does not fit the vehicle. The message contains the name of the controller.
+        InputError: a law does not fit the vehicle. The error message contains the name of the controller.
     """
     outputs, forces = vehicle.linear_model.outputs, len(vehicle.linear_model.inputs)
     for one in controllers:
@@ -264,7 +264,7 @@ def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
 
 
 def check_feedback_alone(controller: Controller, what: str) -> None:
-    """Checks that a controller has no preview, because only its feedback can be represented.
+    """Checks that a controller has no preview, because only the feedback of the controller can be represented.
 
     Args:
         controller: controller to check.

@@ -20,8 +20,8 @@ class DiskMargin:
     """Symmetric disk margin: how far all forces may change at the same time, each by its own complex factor.
 
     Attributes:
-        size: margin from 0 to 2. The margin is exact for one force. For several forces with independent factors, the computed
-            margin is a lower bound.
+        size: margin from 0 to 2. For a single force, the margin is exact. For several forces with independent factors, the
+            computed margin is a lower bound.
         frequency: frequency at which the loop is closest to instability [rad/s].
     """
 

@@ -49,10 +49,10 @@ def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
 def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledLoop:
     """Returns the sampled-data loop of a vehicle and a controller, with weights and actuator lag.
 
-    With tyre damping, a measurement may contain the road velocity. In this case, the mean velocity over the last period is
-    used. If only the energy of the road velocity is limited, the velocity at a single instant is not limited. This agrees with
-    MuJoCo, where the road moves in steps. The road height in a measurement is the integral of the road velocity. For the
-    arguments, see `norm_as_implemented`.
+    With tyre damping, a measurement may contain the road velocity. In this case, the mean road velocity over the last sample
+    period is used instead. If only the energy of the road velocity is limited, the velocity at a single instant is not limited.
+    The mean velocity agrees with MuJoCo, where the road moves in steps. The road height in a measurement is the integral of the
+    road velocity. For the arguments, see `norm_as_implemented`.
     """
     period, model = vehicle.implementation.sample_period or timestep, vehicle.linear_model
     problem = _sampled_problem(vehicle, controller.measured, period, controller.hardware.noise)
@@ -136,7 +136,7 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
     """Returns the limit that the norm of the sampled-data loop approaches as the sample period goes to zero.
 
-    This value is the norm of the continuous loop with actuator lag. The road is the only disturbance.
+    The limit is the norm of the continuous loop with actuator lag. The road is the only disturbance of this loop.
     """
     if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None and not vehicle.integrals:
         return controller.certificate.norm.value
@@ -153,6 +153,6 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
 def plant_as_built(vehicle: Vehicle) -> Plant:
     """Returns the plant (15), with actuator lag if the vehicle file specifies a lag.
 
-    The output z then contains the forces after the lag.
+    With lag, the output z contains the forces after the lag.
     """
     return generalized_plant(vehicle.without_integrals, vehicle.limits.actuator_bandwidth, acting=True)

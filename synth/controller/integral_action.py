@@ -1,15 +1,15 @@
 """Integral action: converts a law whose states include integrals of its measurements to a law that measures these integrals,
 and back.
 
-If z contains a weighted integral, the integral must return to zero; otherwise z has no finite norm. A law designed for such a z
-therefore feeds the integral back. The first states of the law are integrals of its measurements, x_c' = S y. The same integrals
-are also states of the plant. If a loop contained both copies, their difference would never decay. The loop therefore contains
-each integral only once: the law is treated as a law on [y; integrals].
+If z contains a weighted integral, the integral must return to zero; otherwise z has no finite norm. A law designed for a z with
+a weighted integral therefore feeds this integral back. The first states of the law are integrals of its measurements, x_c' = S
+y. The same integrals are also states of the plant. If a loop contained both copies of an integral, the difference of the copies
+would never decay. The loop therefore contains each integral only once: the law is treated as a law on [y; integrals].
 
-A loop whose law lacks these integrals may still have a finite norm, if the integrated signal is zero at 0 rad/s for every road.
-Let the loop be x' = A x + B w, and let c x + d w be the integrated signal. If c A^-1 B = d, the integral is c A^-1 x, because
-the derivative of c A^-1 x is c x + c A^-1 B w. This condition means that the transfer function from w to the integrated signal,
-which is d - c A^-1 B at 0 rad/s, is zero there.
+Even if the law contains no integrals, its loop can have a finite norm, if the integrated signal is zero at 0 rad/s for every
+road. Let the loop be x' = A x + B w, and let c x + d w be the integrated signal. If c A^-1 B = d, the integral is c A^-1 x,
+because the derivative of c A^-1 x is c x + c A^-1 B w. The condition c A^-1 B = d means that the transfer function from w to
+the integrated signal, d - c A^-1 B at 0 rad/s, is zero there.
 """
 
 from collections.abc import Mapping, Sequence
@@ -46,8 +46,8 @@ def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[
         integrated: matrix S, shape (j, q); None if there are no integrals.
 
     Returns:
-        For each row of S whose integral the law contains: the index of the law's state that holds it, and the ratio of state to
-            integral.
+        For each row of S whose integral the law contains: the index of the state that is this integral, and the ratio of state
+            to integral.
     """
     states: dict[int, tuple[int, float]] = {}
     for row, factors in enumerate(() if integrated is None else integrated):

@@ -3,9 +3,9 @@
 - A law is *unstable by itself* if its own states grow without measurements. Such a law has a pole to the right of the imaginary
   axis, or outside the unit circle.
 - A law *winds up* if it is unstable by itself and has no anti-windup, and the vehicle file clips its forces (`actuator_force`
-  or semi-active dampers). The states of the law grow, but the effect of its clipped forces on the measurements is bounded.
-  Later measurements can therefore not bring the states back. An integrator, which has a pole at 0, does not count as unstable,
-  because its state grows no faster than the sum of its inputs.
+  or semi-active dampers). The states of a law that winds up grow, but the effect of the clipped forces on the measurements is
+  bounded. Later measurements can therefore not bring the states back to zero. An integrator, which has a pole at 0, does not
+  count as unstable, because its state grows no faster than the sum of its inputs.
 - *Direct feedback* means that measurements contain the force of the law without delay, as accelerations do. Let H be the gain
   from the force through these measurements back to the force. In the ideal loop, the force u satisfies u = H u + v, where v is
   the part of the force without this feedback. With sampling or any delay, each computed force contains H times the previous
@@ -45,7 +45,7 @@ EXACT = 1e-9  # relative accuracy of the distance from 1 to the force factor at 
 
 @dataclass(frozen=True)
 class LawMargins:
-    """Stability of a law without measurements, and the stability margins of its ideal loop if they are small.
+    """Stability of a law itself, and the stability margins of its ideal loop if they are small.
 
     Attributes:
         growth: growth rate of the fastest growing state of the law itself [1/s]; 0 if no state grows.
@@ -113,7 +113,7 @@ class LawMargins:
 def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
     """Returns the stability of a law itself, whether the law winds up, and the small margins of its ideal loop.
 
-    Margins do not apply to a nonlinear law; its result contains no small margin.
+    Margins do not apply to a nonlinear law, so the result for a nonlinear law contains no small margin.
     """
     if controller.linear is False:
         return LawMargins(0.0, "", math.inf, 0.0, None)
@@ -179,7 +179,7 @@ def _clipped_forces(vehicle: Vehicle) -> str:
 def _is_element(vehicle: Vehicle, controller: Controller) -> bool:
     """Returns True if a law has the same effect as passive springs, dampers and inerters in the suspensions.
 
-    The loop with this law is always stable.
+    The loop with a passive law is always stable.
 
     A passive law is u = -(K d + C d' + M d''), with the suspension deflections d and symmetric K and M; no part produces
     energy.

@@ -13,10 +13,10 @@ which then acts on the vehicle through the law:
 
     x' = A x + B w + E z_r,    z = C x + D w + F z_r,    z_r' = w,
 
-Here, the matrices describe the closed loop. With xi = x + A^-1 E z_r, this becomes xi' = A xi + (B + A^-1 E) w and z = C xi
-+ D w + (F - C A^-1 E) z_r. A finite norm therefore exists if F = C A^-1 E, because a constant road height then does not affect
-z. The norm is then computed from a loop without additional states. If the road filter is zero at 0 rad/s, z_r is a linear
-combination of the filter states, and the law measures this combination.
+The matrices in these equations describe the closed loop. With xi = x + A^-1 E z_r, the equations become xi' = A xi + (B + A^-1
+E) w and z = C xi + D w + (F - C A^-1 E) z_r. A finite norm therefore exists if F = C A^-1 E, because a constant road height
+then does not affect z. With F = C A^-1 E, the norm is computed from a loop without additional states. If the road filter is
+zero at 0 rad/s, z_r is a linear combination of the filter states, and the law measures this combination.
 """
 
 from collections.abc import Mapping, Sequence
@@ -54,8 +54,8 @@ class ClosedLoop:
         plant_without_law: plant without the states of the law.
         states: names of the states of the plant without the law.
         law_states: number of states of the law, which follow the states of the plant.
-        with_road_heights: closed loop with the road heights as its last states, if a constant road height affects z. This loop
-            has no finite norm. None otherwise.
+        with_road_heights: closed loop with the road heights as its last states, if a constant road height affects z. The loop
+            with road heights has no finite norm. None otherwise.
         unbounded_outputs: indices of the entries of z that a constant road height affects.
     """
 
@@ -94,8 +94,8 @@ class Problem:
             by the measurement noises.
         forces: measured forces without lag, which do not depend on the state; index of the measurement, and index of the
             measured force.
-        integrated: factors with which the measurements enter each measured integral, shape (j, q - j). The integrals are the
-            last j measurements. None if no integral is measured.
+        integrated: factors with which the measurements enter each measured integral, shape (j, q - j). The measured integrals
+            are the last j measurements. None if no integral is measured.
         integrals: indices of the states of the plant that are integrals.
         measured_integrals: indices of the plant states that are measured integrals, in the order of the rows of `integrated`.
         states: names of the states of the plant.
@@ -121,7 +121,9 @@ class Problem:
 
     @property
     def of_states(self) -> Plant:
-        """Plant with only the measurements that depend on the state, C_y x + Dyw w. Designs compute a law for this plant."""
+        """Plant with only the measurements that depend on the state, C_y x + Dyw w. A design method computes a law for the
+        plant with these measurements.
+        """
         return self.plant.rows(self.state_measurements).without_feedthrough
 
     def closed_loop(self, law: LinearLaw) -> tuple[Plant, Feedback]:
@@ -146,7 +148,8 @@ class Problem:
         return FEATURES.load("integral action").with_integrators(law, self.integrated)
 
     def judged(self, law: LinearLaw) -> "ClosedLoop":
-        """Returns the closed loop of a law on the measurements. The certificate of the law describes this loop.
+        """Returns the closed loop of a law on the measurements. The certificate of the law describes the closed loop that is
+        returned.
 
         Raises:
             InputError: the algebraic loop has no solution, or a discrete law has no continuous counterpart.
@@ -251,8 +254,8 @@ def _heights_read(
 ) -> tuple[Array, Array, Array | None, tuple[Array, Array]]:
     """Returns the contributions of measured heights to Cy and Dyw, and the attributes `of_heights` and `rates` of a `Problem`.
 
-    The measured heights contain the warp of the road, which is a separate disturbance. The other part of the heights is the
-    integral of the road velocities.
+    The measured heights contain the warp of the road, which is a separate disturbance. The other part of the measured heights
+    is the integral of the road velocities.
     """
     Cr, road, directions = model.Cr[rows], vehicle.road_filter, road_twist_inputs(model)
     by_twist, by_height, r = Cr @ directions.T / model.twist_rate, Cr - Cr @ directions.T @ directions, Cr.shape[1]
@@ -298,8 +301,8 @@ def generalized_plant(
 ) -> Plant:
     """Returns the plant (15) of a vehicle: its linear model, with the weighted signals of `[performance]` as z, see (34)-(37).
 
-    The states of the vehicle come first; its last states are the forces after actuator lag. The states of frequency-dependent
-    weights and of the road filter follow.
+    The states of the vehicle come first; the last of these states are the forces after actuator lag. The states of
+    frequency-dependent weights and of the road filter follow.
 
     Args:
         vehicle: vehicle of the plant.
@@ -352,7 +355,7 @@ def _design_model(vehicle: Vehicle, bandwidth: float | None) -> LinearModel:
 
 
 def _with_integrals(plant: Plant, vehicle: Vehicle, model: LinearModel) -> Plant:
-    """Adds to z the integrals for which `[performance]` has a weight. These integrals are already states of the plant."""
+    """Adds to z the integrals for which `[performance]` has a weight. The integrals are already states of the plant."""
     if not vehicle.integrals:
         return plant
     C = plant.C.copy()

@@ -43,9 +43,9 @@ APART = Field[SampledNorm]("difference", lambda one: one.gap, ".0e")
 def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
     """Returns the norm of the sampled-data loop of a vehicle and a controller, if the vehicle file specifies an implementation.
 
-    The result is None if `[implementation]` has neither sample period nor delay. The result is also None for a stable loop for
-    which no such norm exists. A norm is missing only for laws for theoretical study, if a constant road height affects z, or if
-    the law measures the road's warp.
+    The result is None if `[implementation]` has neither sample period nor delay. The result is also None for a stable loop that
+    has no norm. A norm is missing only for laws for theoretical study, if a constant road height affects z, or if the law
+    measures the road's warp.
     """
     if vehicle.implementation.undelayed:
         return None
@@ -143,7 +143,7 @@ def false_norm(
     Args:
         record: certificate to check; None if the controller has no certificate.
         vehicle: vehicle with the implementation of the controller.
-        norm_of_loop: function that computes the norm (`norm_if_implemented`). This function is called only if the record claims
+        norm_of_loop: function that computes the norm (`norm_if_implemented`). The function is called only if the record claims
             a norm.
     """
     said = (record or {}).get(SAMPLED_NORM)
@@ -262,9 +262,7 @@ def _has_idle_integral(controller: Controller) -> bool:
 
 
 def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
-    """Returns notes about a law: its instability without measurements, small margins of its loop, its integral and its
-    anti-windup.
-    """
+    """Returns notes about a law: instability of the law itself, small margins of its loop, its integral and its anti-windup."""
     margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
     winds = " and winds up when forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
     notes = [f"this law is unstable by itself (+{rough(margins.growth)} 1/s){winds}"] if margins.growth else []

@@ -32,8 +32,8 @@ LONGEST = 100.0  # longest sample period that is tested if the vehicle does not 
 
 
 def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
-    """Returns True if all forces must be sampled, because the loop is cut at all forces, some are measured, or two copies of
-    the law would diverge.
+    """Returns True if all forces must be sampled: the loop is cut at every force, some are measured, or two copies of the law
+    would diverge.
 
     Two copies diverge from each other if both have a mode that does not decay, such as an integrator, because no measurement
     contains their difference.

@@ -4,11 +4,11 @@ The cut loop (`Loop.cut`) is L(s) = C (s I - A)^-1 B + D. The closed loop reache
 w) is 1 at some frequency w. The margins are not read from a frequency grid. Let M = B C, and D = 0. With the Kronecker sum X
 (+) Y = kron(X, I) + kron(I, Y), the margins are computed as follows:
 
-- Gain: a gain factor k moves a pole of A + k M to the imaginary axis only if the sum of two poles is zero. This requires that
-  (A + k M) (+) (A + k M) is singular, which is a linear eigenvalue problem in k.
+- Gain: a gain factor k moves a pole of A + k M to the imaginary axis only if the sum of two poles is zero. The sum of two poles
+    is zero only if (A + k M) (+) (A + k M) is singular, which is a linear eigenvalue problem in k.
 - Phase lag: a phase lag theta, with the factor z = exp(-j theta), moves a pole to the axis only if
-  (A + z M) (+) (A + conj(z) M) is singular. Since conj(z) = 1 / z, this is a quadratic eigenvalue problem in z. The solutions
-  on the unit circle are all crossovers (Chen, Gu, Nett 1995).
+  (A + z M) (+) (A + conj(z) M) is singular. Since conj(z) = 1 / z, the condition is a quadratic eigenvalue problem in z. The
+  solutions z on the unit circle give all crossovers (Chen, Gu, Nett 1995).
 - Delay: a delay of theta / w causes the phase lag theta at the frequency w. The delay margin is the smallest of the delays at
     all crossovers.
 - Phase lead: a phase lead is 2 pi minus the phase lag. The crossover with the largest lag therefore has the smallest lead.
@@ -109,7 +109,7 @@ class Margins:
     def smallest_phase(self) -> float:
         """Smallest phase lag among all crossovers [rad].
 
-        This lag is smaller than `phase` if a crossover at a lower frequency has a smaller lag but a longer delay.
+        The smallest phase lag is below `phase` if a crossover at a lower frequency has a smaller lag but a longer delay.
         """
         return min((crossover.phase for crossover in self.crossovers), default=math.inf)
 
@@ -301,7 +301,7 @@ def _refine_crossover(cut: StateSpace, theta: float, pole: complex) -> Crossover
 def _kronecker_sum(X: Array, Y: Array) -> Array:
     """Returns the Kronecker sum of X and Y.
 
-    The eigenvalues of this sum are all sums of an eigenvalue of X and an eigenvalue of Y.
+    The eigenvalues of the Kronecker sum are all sums of an eigenvalue of X and an eigenvalue of Y.
     """
     identity = np.eye(len(X))
     return np.kron(X, identity) + np.kron(identity, Y)

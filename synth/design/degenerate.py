@@ -103,11 +103,11 @@ def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> lis
 
 
 def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) -> None:
-    """Checks that every mode that does not decay is observable in z. If such a mode is unobservable, the path of (22) does not
-    end at an optimum.
+    """Checks that every mode that does not decay is observable in z. If a mode that does not decay is unobservable, the path of
+    (22) does not end at an optimum.
 
     Raises:
-        InfeasibleError: no control force can stabilise the plant; the message describes the mode.
+        InfeasibleError: no control force can stabilise the plant; the message describes the mode that cannot be stabilised.
         DesignError: the plant can be stabilised, but the optimal loop is not stable.
     """
     # without this check, the search would follow the path without reaching an optimum

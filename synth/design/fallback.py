@@ -3,8 +3,8 @@
 The two steps can fail in several ways: a central path ends early, the gain grows without limit, or a problem is too large.
 Problem (25) of the paper may also have no solution for any of the matrices X that are tried. A stabilising gain may still
 exist, and the search in `static.py` does not need a central path. If no gain can exist, the reason is found and reported first.
-Such a reason is a mode that no force affects or no measurement contains, or a pole that no gain can change. If weighting
-filters or noise keep the norm of the two-step gain far above the lower bound, descent continues from this gain.
+Reasons why no gain can exist are a mode that no force affects or no measurement contains, and a pole that no gain can change.
+If weighting filters or noise keep the norm of the two-step gain far above the lower bound, descent continues from this gain.
 """
 
 import contextlib
@@ -88,7 +88,7 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
     """Lowers the norm by descent, as `refine` does, if the norm of the two-step gain is more than 0.1 % above the lower bound.
 
     The gain may double for each 0.1 % by which the norm decreases. If all states are measured without noise, a Riccati equation
-    gives another gain. The norm of this gain is as close to the lower bound as `largest_gain` allows or, without
+    gives another gain. The norm of the Riccati gain is as close to the lower bound as `largest_gain` allows or, without
     `largest_gain`, as the speed of actuators allows. If the norm is still more than 1 % above the lower bound, descents also
     start from other gains. The gain with the lowest norm is returned, unless the poles of its loop are too fast for an
     actuator.
@@ -117,7 +117,7 @@ def _refine_design(problem: DesignProblem, design: DesignResult, work: "Work") -
     """Returns a design with a lower norm (or None), the growth factor of the gain, the name of the method, and a remark.
 
     The descents start from the gain of the two-step method and, if all states are measured, from the gain of a Riccati
-    equation. Each descent ends in a local minimum. If the norm at this minimum is far above the lower bound, the search
+    equation. Each descent ends in a local minimum. If the norm at a local minimum is far above the lower bound, the search
     continues for other minima.
     """
     from synth.analysis.bounding import certify_law

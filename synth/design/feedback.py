@@ -62,12 +62,13 @@ def design_feedback(
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
 ) -> FeedbackDesign:
-    """Designs a controller for any plant. The result contains a certificate, the design method and the reason for this method.
+    """Designs a controller for any plant. The result contains a certificate, the design method, and the reason why this method
+    was chosen.
 
     By default, the design is a static gain with the smallest H-infinity norm, computed by the paper's two-step method. Descent
     follows if the norm is then more than 0.1 % above the lower bound, or if the two steps find no gain. The arguments are the
-    keys of a controller's section in a vehicle file, and the same combinations are allowed. The measurements of a plant are
-    named y1, y2, ..., its forces u1, u2, ..., and the rows of z are named z1, z2, ...
+    keys of a controller's section in a vehicle file, and can be combined in the same way as these keys. The measurements of a
+    plant are named y1, y2, ..., its forces u1, u2, ..., and the rows of z are named z1, z2, ...
 
     Args:
         plant: generalised plant with n states and m inputs; continuous, or discrete with sample period dt.
@@ -103,7 +104,8 @@ def design_feedback(
 
     Raises:
         InputError: a matrix does not fit the plant, the plant has no input, or two arguments exclude each other.
-        InfeasibleError: no such controller stabilises the plant; the message describes the mode that cannot be stabilised.
+        InfeasibleError: no controller of the required type stabilises the plant; the message describes the mode that cannot be
+            stabilised.
         DesignError: no method found a controller; the message gives the reason.
 
     Example:
@@ -188,7 +190,7 @@ def _parts(
 
 
 def _plain(value: Any) -> Any:
-    """Converts tables, lists and numbers to the types of a vehicle file."""
+    """Converts tables, lists and numbers in the arguments to the types that a vehicle file uses."""
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, np.ndarray | np.generic):

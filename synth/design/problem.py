@@ -60,8 +60,9 @@ class WellPosedProblem:
         case: description of the degeneracy of the given problem; empty if the problem is not degenerate.
         best: state gain that is known to be optimal, shape (m, n); None if no such gain is known.
         best_case: description of the degeneracy that makes `best` optimal.
-        regular: True if w acts on a state, and every state affects z, both without control and with the gain -D^+ C. No mode
-            can then be hidden from z. If a force has no weight, (22) may still have no optimum.
+        regular: True if w acts on a state, and every state affects z, both without control and with the gain -D^+ C. If
+            `regular` is True, no mode can be hidden from z. Even if `regular` is True, (22) may have no optimum because a force
+            has no weight.
     """
 
     plant: Plant
@@ -81,8 +82,8 @@ class DesignProblem:
 
     Attributes:
         plant: plant with n states, m inputs and q measurements y = C_y x + Dyw w.
-        order: "static" for a gain, or "full" for a law with as many states as the plant. If `structure` is given, its order is
-            used instead.
+        order: "static" for a gain, or "full" for a law with as many states as the plant. If `structure` is given, the order of
+            this structure is used instead.
         structure: structure of a law with fewer states than the plant; None if there is no such structure.
         design: name in `DESIGNS`, such as "h2" to minimise the mean square of z. If the name is empty, the H-infinity norm is
             minimised.
@@ -174,25 +175,25 @@ class DesignResult(ShownResult):
         remarks: notes on the gap to the optimum, on assumptions, and on unused measurements.
         value: value of the minimised objective. Default: the norm in the certificate.
         criterion: name of the minimised objective: "norm", "sampled norm", "H2 norm", or a goal.
-        sampled_lower_bound: lower bound on the sampled norm of controllers of any order at this sample period and delay. None
-            if there is no sample period, or if no bound is proved.
+        sampled_lower_bound: lower bound on the sampled norm of controllers of any order, for the sample period and delay of the
+            problem. None if there is no sample period, or if no bound is proved.
         level: upper bound on the sampled norm that the LMI of the two-step method gives; None for other designs.
-        redundant: indices of the measurements that are linear combinations of other measurements. The gain on these
+        redundant: indices of the measurements that are linear combinations of other measurements. The gain on redundant
             measurements is zero.
         case: description of the degeneracy of (22), for which no gain or every gain is optimal; empty if (22) is not
             degenerate.
         instead: text with the name of the fallback method, and the reason why the two steps found no gain; empty if they found
             a gain.
         state_step_gap: relative gap in gamma between the optimum of (22) and the point of the central path whose X gives L
-            (14). This gap is 0 at the limit of the path. The gap is larger if the second problem has no solution for the X at
+            (14). The gap is 0 at the limit of the path. The gap is larger if the second problem has no solution for the X at
             the limit.
-        optimum_gap: relative gap in gamma between the gain and the optimum of its own problem. This gap is 0 at the limit of
-            the central path. The gap is larger if gains near the optimum have poles that are too fast for an actuator.
-        moved: last change of the gain along its central path, relative to the largest entry of the gain. This change is about a
-            hundred times the distance to the limit of the path. This change is at most 4e-5 for the built-in cars, and for the
-            two steps of a chain of 40 states. For chains of 26 and 40 states, however, the state-feedback gain still grows a
-            hundredfold if the path parameter mu decreases by a factor of a hundred. The norm of this gain is proved, but no
-            digit of the gain agrees with the optimal gain.
+        optimum_gap: relative gap in gamma between the gain and the optimum of its own problem. The gap is 0 at the limit of the
+            central path. The gap is larger if gains near the optimum have poles that are too fast for an actuator.
+        moved: last change of the gain along its central path, relative to the largest entry of the gain. The last change is
+            about a hundred times the distance to the limit of the path. The last change is at most 4e-5 for the built-in cars,
+            and for the two steps of a chain of 40 states. For chains of 26 and 40 states, however, the state-feedback gain
+            still grows a hundredfold if the path parameter mu decreases by a factor of a hundred. The norm of the
+            state-feedback gain is proved, but no digit of this gain agrees with the optimal gain.
         origin: description of the starting point from which the search found the law; empty if there was no search.
         two_steps: result of the two steps, if the search for a static gain also started from this result; otherwise None.
         starts: number of other stable points from which the search for a static gain started.

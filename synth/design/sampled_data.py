@@ -1,12 +1,13 @@
 """Designs for the sampled-data loop, which apply the methods for ideal loops to a discrete plant.
 
 For every value of the L2 gain of the sampled-data loop, called a level, there is a discrete plant
-(`synth/analysis/sampled_loop.py`). The states of this plant include the delayed forces, and the disturbances include the
-measurement noise. A law for this plant therefore takes into account the delay, the hold and the motion between samples.
-`by_levels` searches for the lowest level. A method designs a law at one level. The exact norm of the sampled-data loop with
-this law (`synth/analysis/sampled_norm.py`) becomes the next level.
+(`synth/analysis/sampled_loop.py`). The states of the discrete plant include the delayed forces, and its disturbances include
+the measurement noise. A law for the discrete plant therefore takes into account the delay, the hold and the motion between
+samples. `by_levels` searches for the lowest level. A method designs a law at one level. The exact norm of the sampled-data loop
+with the designed law (`synth/analysis/sampled_norm.py`) becomes the next level.
 
-- Full order: Riccati equations. The first level is the lowest level at which these equations have a solution; bisection finds it.
+- Full order: Riccati equations. The first level, found by bisection, is the lowest level at which the Riccati equations have a
+    solution.
 - A given order or structure: descent. The first level is near the lower bound. At each later level, descent starts from the
   law found at the previous level.
 - A static gain: the paper's two steps, followed by descent. Each step searches for the level at which the optimal norm of the
@@ -17,9 +18,9 @@ this law (`synth/analysis/sampled_norm.py`) becomes the next level.
 The delayed forces are states that no measurement contains. The matrix L determines how the delayed forces are estimated. If L
 is based on the optimal state feedback, the second step may have no solution. A solution may still exist if L is based on
 another gain that is equally good. Descent on the exact norm then starts from the gains of the two steps and of the continuous
-design, and the gain with the lowest norm is used. The gain of the two steps is kept if descent hardly lowers its norm. If the
-two steps find no gain, or if the plant without control has a lower norm, descent starts from all known gains. A remark then
-gives the reason. The two steps ignore measurement noise; descent takes it into account.
+design. The gain with the lowest norm is used. The gain of the two steps is kept if descent hardly lowers its norm. If the two
+steps find no gain, or if the plant without control has a lower norm, descent starts from all known gains. A remark in the
+result then gives the reason. The two steps ignore measurement noise; descent takes it into account.
 
 The norm has several local minima if the phase of a mode of the plant advances by a considerable part of a turn within a sample
 period. A gain that is good for a short period may make the loop unstable for a long period. Descent therefore starts at the
@@ -134,7 +135,7 @@ def by_levels(
         method: function that designs a law for the plant of a level, starting from the best law so far. The function returns
             the law and remarks.
         ended: function of three values: the norm that a law reaches, the level at which it was designed, and the lowest earlier
-            norm. The function returns True if another level would bring no improvement.
+            norm. The function `ended` returns True if another level would bring no improvement.
         best: best law that is already known; None if no law is known.
         levels: largest number of levels.
         higher: factor by which the level is multiplied if no law was found.
@@ -214,7 +215,7 @@ def _result(problem: DesignProblem, found: SampledLaw, bound: SampledBound | Non
 
 
 def _design_at_level(problem: DesignProblem, held: SampledDataProblem, plant: Plant, **more: Any) -> LawWithRemarks:
-    """Designs a law for the plant of a level, as for any discrete plant. Returns the law and remarks."""
+    """Designs a law for the plant of a level, as for any discrete plant. Returns the law, and remarks on the design."""
     m, states = held.plant.B.shape[1], problem.states
     if states:
         states = *states, *(f"force_{k + 1}_of_{held.stored_forces}_before" for k in range(held.stored_forces) for _ in range(m))
@@ -235,7 +236,9 @@ def _design_at_level(problem: DesignProblem, held: SampledDataProblem, plant: Pl
 
 
 def _full(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float) -> tuple[SampledLaw, str]:
-    """Returns a full-order law with a norm within 0.1 % of the lower bound or, with a remark, the law with the closest norm."""
+    """Returns a full-order law with a norm within 0.1 % of the lower bound or, with a remark, the law whose norm is closest to
+    this bound.
+    """
     goal = bound.level if bound is not None else 0.0
     least, first = lowest_level(held, goal * (1 + ABOVE * bound.inside) if bound is not None else near, goal)
 
@@ -368,7 +371,8 @@ def best_descent(held: SampledDataProblem, known: Sequence[Array], near: float, 
     """Returns the best gain that descent finds, and its norm; the norm is infinite if no starting point is stable.
 
     Args:
-        known: gains from which descents start, shapes (m, q). The line through zero and the first gain is searched.
+        known: gains from which descents start, shapes (m, q). The line through zero and the first gain is searched for starting
+            points.
         near: estimate of the norm, from which the computation of the norm starts.
         work: counter of the computing work of the search.
     """
@@ -390,8 +394,8 @@ def better_valley(held: SampledDataProblem, end: End, far: float, work: Work) ->
 
     Args:
         end: best gain so far, and the norm with this gain. The norm is infinite if the gain does not stabilise the loop.
-        far: a level far above the norm, for which a discrete plant exists. The norm of this plant is nearly proportional to the
-            norm of the sampled-data loop.
+        far: a level far above the norm, for which a discrete plant exists. The norm of the discrete plant is nearly
+            proportional to the norm of the sampled-data loop.
         work: counter of the computing work of the search.
     """
     K, norm = end
@@ -501,7 +505,7 @@ def _at_the_limit(held: SampledDataProblem, norm: float) -> bool:
 
 
 def _may_fall(held: SampledDataProblem, norm: float) -> bool:
-    """Returns True if a search for a lower norm is worthwhile: no lower bound within 1 % is known, and the loop has few states."""
+    """Returns True if a search for a lower norm pays: no lower bound within 1 % is known, and the loop has few states."""
     if len(held.rows[0]) > LARGEST_BOUNDED:
         return False
     plant = held.at(norm * (1 - LITTLE)) if np.isfinite(norm) else None
@@ -518,7 +522,7 @@ def two_steps(held: SampledDataProblem, near: float, undelayed: Array | None) ->
     Args:
         held: sampled-data problem without noise, with independent measurements.
         near: level at which the search starts.
-        undelayed: gain of a design without delay, shape (m, q). If this gain is given, a second L (14) is tried, under the
+        undelayed: gain of a design without delay, shape (m, q). If `undelayed` is given, a second L (14) is tried, under the
             assumption that this gain computed the delayed forces.
 
     Raises:

@@ -4,13 +4,13 @@
 
 Step 1 designs a state feedback u = G_s x: it maximises eta = norm^-2 subject to an LMI in X and Y. For u = K y, X and Y must
 also fulfil Y X^-1 = K C_y (8), which is not a convex condition. Step 2 therefore maximises eta only over pairs X, Y of the form
-(12). These pairs form a convex set for every matrix L, and each pair gives a gain K. If L is given by (14), the X of step 1 has
-the form (12). The optimum of each step is the limit of its central path (`synth.lmi.central_path`), which depends neither on a
-solver nor on units.
+(12). Pairs of the form (12) are a convex set for every matrix L, and each pair gives a gain K. If L is given by (14), the X of
+step 1 has the form (12). The optimum of each step is the limit of its central path (`synth.lmi.central_path`), which depends
+neither on a solver nor on units.
 
 The functions above `well_posed` implement the formulas of the paper. The functions below `well_posed` choose independent
-measurements and units. If step 2 has no solution for the optimal X of step 1, the lower functions use the X of an earlier point
-on the central path. `synth.design.degenerate` treats plants whose problem (22) has no optimum.
+measurements and units. If step 2 has no solution for the optimal X of step 1, the functions below `well_posed` use the X of an
+earlier point on the central path. `synth.design.degenerate` treats plants whose problem (22) has no optimum.
 """
 
 import contextlib
@@ -64,7 +64,7 @@ def nullspace(Cy: Array) -> Array:
 def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
     """Returns L = Q^+ X C_y' (C_y X C_y')^-1, shape (n - q, q), equation (14).
 
-    With this L, R = X C_y' (C_y X C_y')^-1, and X = Q X_Q Q' + R X_R R' (12) with X_R = C_y X C_y'.
+    With L from (14), R = X C_y' (C_y X C_y')^-1, and X = Q X_Q Q' + R X_R R' (12) with X_R = C_y X C_y'.
 
     Args:
         X: matrix X that solves the state-feedback problem (22), shape (n, n).
@@ -200,7 +200,7 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
     """Returns the last gain of a central path whose certificate holds and whose loop is slow enough for actuators.
 
     The loops of all certified gains may be too fast compared with the plant, for example if the plant hardly moves without
-    control. In this case, the reference for speeds is the slowest of these loops, and not the plant.
+    control. If so, speeds are compared with the slowest of the certified loops, and not with the plant.
 
     Raises:
         DesignError: no certificate holds.
@@ -247,8 +247,8 @@ def two_step_design(
     """Designs a static gain by the paper's two-step method: the X of (22) gives L (14), with which (25) gives the gain.
 
     The result includes the certificate of the gain. The second problem (25) may be infeasible for the optimal X, but feasible
-    for the X of an earlier point on the central path. In this case, the X of the last feasible point is used. The plant is
-    first scaled to internal units, so that the result does not depend on the units of the plant.
+    for the X of an earlier point on the central path. The X of the last point at which (25) is feasible is then used. The plant
+    is first scaled to internal units, so that the result does not depend on the units of the plant.
 
     Args:
         plant: generalised plant with n states and m inputs.

@@ -6,8 +6,8 @@ In each sample period, the computation has these steps:
 1. An input that is not finite is replaced by its last finite value.
 2. Measurements are quantised.
 3. The forces of a linear law are summed over the measurements, then over the states, in the order of the matrix columns.
-4. The forces are limited, and then their changes per sample are limited. For semi-active dampers, this step converts the forces
-    to damping coefficients instead of limiting them.
+4. The forces are limited, and then their changes per sample are limited. For semi-active dampers, the forces are converted to
+damping coefficients instead of being limited.
 5. The next states are computed as sums, which are also added in the order of the matrix columns.
 6. The outputs that were computed `delay` samples earlier are returned.
 
@@ -69,7 +69,7 @@ class ExportedLaw:
             [N s/m]; empty for force actuators.
         semi_active: name of the semi-active law; empty for a linear law.
         coefficients: parameters of the semi-active law; None for a linear law.
-        modes: number of measurements of body modes; they come before the measurements of the suspensions.
+        modes: number of measurements of body modes, which come before the measurements of the suspensions.
         ranges: largest magnitude of each measurement for fixed-point code, shape (q,); None for floating point.
         range_sources: text that describes the source of each range.
     """

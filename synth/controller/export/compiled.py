@@ -100,8 +100,8 @@ class CompiledStep:
 
     Attributes:
         seen: array of input values, in the order of the law's inputs; the caller fills it before each step.
-        given: array of output values that the last step computed.
-        x: array of the law's states after the last step.
+        given: array of output values that the last call of `step()` computed.
+        x: array of the law's states after the last call of `step()`.
         step: function that computes `given` and the next states from `seen`.
         state: bytes of the C struct that stores the state.
     """

@@ -118,7 +118,7 @@ def functions_of(version: int) -> str:
 
 
 def zip_files(files: Mapping[str, bytes]) -> bytes:
-    """Returns the bytes of a zip file. These bytes depend only on the names and contents of the files."""
+    """Returns the bytes of a zip file. The bytes depend only on the names and contents of the files."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
         for name in sorted(files):
@@ -172,8 +172,8 @@ def _build_library(compiler: Sequence[str], place: Path, compiled: Sequence[str]
 
 
 def _universal(targets: Sequence[str], parts: Sequence[bytes]) -> bytes:
-    """Returns a Mach-O file that contains the library once for each type of processor. If there is only one library, it is
-    returned unchanged.
+    """Returns a Mach-O file that contains the library once for each type of processor. If there is only one library, this
+    library is returned unchanged.
     """
     if len(parts) == 1:
         return parts[0]

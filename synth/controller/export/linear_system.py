@@ -54,7 +54,7 @@ def signals_of(vehicle: Vehicle, names: Sequence[str]) -> tuple[Signal, ...]:
 
 
 def _with_heights(vehicle: Vehicle, plant: StateSpace) -> StateSpace:
-    """Returns the plant with the heights of the roads that act on it as additional states, which are integrals of the road
+    """Returns the plant with additional states: the heights of the roads that act on the plant, which are integrals of the road
     velocities.
     """
     roads, heights = vehicle.linear_model.disturbances, plant.columns(with_ending(vehicle.linear_model.disturbances, HEIGHT))

@@ -1,6 +1,6 @@
 """Flatness of an optimum: how far a single gain entry can change until the norm rises by a given percentage.
 
-In the paper's problem, a whole set of gains is optimal. Close to this set, the norm hardly depends on the gain.
+In the paper's problem, a whole set of gains is optimal. Close to the set of optimal gains, the norm hardly depends on the gain.
 """
 
 import numpy as np

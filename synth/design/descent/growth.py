@@ -2,7 +2,8 @@
 
 Minimising a norm without limits on the gain leads to useless controllers, because the infimum may lie at infinite gain.
 From the paper's controller I, a descent without limits would increase the gain to [-72240, -82631] to lower gamma by only a
-thousandth. Each doubling of the gain must therefore lower the norm by at least 0.1 %. A stage that achieves less is undone.
+thousandth. Each doubling of the gain must therefore lower the norm by at least 0.1 %. A stage that lowers the norm by less is
+undone.
 """
 
 import math

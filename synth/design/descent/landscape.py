@@ -4,8 +4,8 @@ A gain K is represented by a point x of N numbers with K_ij = x_ij scale_ij. The
 N is m q, or the number of free entries if a structure fixes the other entries to zero. The H-infinity norm is a continuous
 function of the gain. The norm has an edge wherever two frequencies or two singular values share the maximum, and minima lie on
 edges. For all unit vectors u and v, the largest singular value of T(j omega) is at least Re u' T(j omega) v, with equality for
-the singular vectors. Each choice of omega, u and v therefore gives a smooth function that bounds the norm from below. This
-function is called a cut (Apkarian, Noll 2006).
+the singular vectors. Each choice of omega, u and v therefore gives a smooth function that bounds the norm from below. The
+smooth function for one choice of omega, u and v is called a cut (Apkarian, Noll 2006).
 
 A discrete plant is represented by the continuous plant into which the bilinear transform maps it, with the same gains but other
 frequencies. The measurements of the continuous plant contain the force, as an accelerometer signal does. The equivalent gain
@@ -13,11 +13,12 @@ for measurements without the force is (I - K Dyu)^-1 K.
 
 If two measurements are large and nearly equal, the norm depends strongly on the gain that acts on their sum. The norm hardly
 depends on the gain that acts on the difference of the two measurements. An example is a slowly drifting reference and a
-position that follows this reference. A similar problem occurs if two forces nearly cancel in z. In such cases, the norm, as a
-function of the gain entries, has a narrow valley. A change dK of the gain changes z by T_zu dK T_yw w. In suitable coordinates,
-there is no valley. These coordinates make the measurements uncorrelated and of equal size if w is white noise. These
-coordinates also make the responses of z to white-noise forces orthogonal and of equal size. The curvature of a quadratic cost
-is then the same in all directions (natural gradient).
+position that follows this reference. A similar problem occurs if two forces nearly cancel in z. If two measurements are nearly
+equal, or two forces nearly cancel, the norm has a narrow valley as a function of the gain entries. A change dK of the gain
+changes z by T_zu dK T_yw w, where T_zu and T_yw are transfer matrices of the closed loop. In suitable coordinates for the gain,
+the norm has no narrow valley. The coordinates are chosen so that the measurements are uncorrelated and of equal size if w is
+white noise. In the same coordinates, the responses of z to white-noise forces are orthogonal and of equal size. The curvature
+of a quadratic cost is then the same in all directions (natural gradient).
 """
 
 import contextlib
@@ -81,9 +82,9 @@ class Cuts:
     """Set of F cuts: smooth functions Re u' T(j omega; K) v of the gain K that bound the norm from below.
 
     Attributes:
-        omega: frequencies [rad/s], shape (F,).
-        u: unit vectors, complex, shape (F, d).
-        v: unit vectors, complex, shape (F, r).
+        omega: frequency of each cut [rad/s], shape (F,).
+        u: complex unit vector u of each cut, shape (F, d).
+        v: complex unit vector v of each cut, shape (F, r).
     """
 
     omega: Array
@@ -134,7 +135,8 @@ MOST_ALIKE = 3  # largest number of similar singular values that are considered 
 class Work:
     """Counter of computing work, with a limit. One unit is the work that is needed to compute one norm of a loop with 8 states.
 
-    Unlike a time limit, this count is the same on every machine. The same problem therefore always ends at the same gain.
+    Unlike a time limit, a limit on the counted work has the same effect on every machine. A search for the same problem
+    therefore always ends at the same gain.
     """
 
     def __init__(self, limit: float = np.inf) -> None:
@@ -159,7 +161,7 @@ def price(states: int, entries: int) -> float:
 class Landscape:
     """Norms of the closed loops of one plant as a function of the gain.
 
-    The object stores previous peak frequencies, which shorten the next search but do not change its result.
+    The object stores previous peak frequencies, which shorten the next search for a norm but do not change the norm.
     """
 
     def __init__(
@@ -243,10 +245,10 @@ class Landscape:
     def loop(self, x: Array) -> Plant:
         """Returns the closed loop with the gain K of a point.
 
-        The closed loop has a new input v: u = K y + v. The last result is cached.
+        The closed loop has an additional input v: u = K y + v. The last result is cached.
 
-        The matrices of the loop describe the effect of a change of the gain, including the effect through Dyu. All entries
-        are NaN if the loop equation has no solution.
+        The matrices of the loop describe the effect of a change of the gain, including the effect through Dyu. All entries of
+        the matrices are NaN if the loop equation has no solution.
         """
         key = x.tobytes()
         if self.last is None or self.last[0] != key:
@@ -268,7 +270,7 @@ class Landscape:
     def abscissa(self, x: Array) -> tuple[float, Array]:
         """Returns the largest real part of the poles [rad/s], and its derivatives with respect to the point, shape (N,).
 
-        The value is infinite if the loop matrix is not finite.
+        The largest real part is infinite if the loop matrix is not finite.
         """
         self.work.done += POLES * self.price
         loop = self.loop(x)
@@ -453,7 +455,7 @@ class Landscape:
         return (omega > 0) & (omega > low * (1 + NEAR)) & (omega < high * (1 - NEAR))
 
     def _inside(self, omega: Array) -> Array:
-        """Returns those frequencies that lie within the band, and the finite ends of the band, ascending."""
+        """Returns those of the given frequencies that lie within the band, and the finite ends of the band, ascending."""
         low, high = self.band
         omega = omega[np.isfinite(omega) & (omega > low) & (omega < high)]
         return np.unique(np.concatenate([[low], omega, [high] if np.isfinite(high) else []]))
@@ -522,8 +524,8 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
 
 
 def _within(M: Array, free: Array) -> Array:
-    """Returns a square matrix of coordinates for only the free entries. Each step has the same length in these coordinates as
-    in the coordinates M.
+    """Returns a square matrix of balanced coordinates for only the free entries. Each step has the same length in these
+    coordinates as in the coordinates M.
 
     Raises:
         LinAlgError: M is singular.

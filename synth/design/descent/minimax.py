@@ -1,7 +1,7 @@
 """Descent on a nonsmooth function: minimises the largest of several terms, within bounds on further terms.
 
 - `descend` is sequential quadratic programming for a minimax problem. The model for a step is the maximum of linear functions
-  that bound the terms from below, plus a quadratic term for their curvature. The step leads to the minimum of this model. If a
+  that bound the terms from below, plus a quadratic term for their curvature. The step leads to the minimum of the model. If a
   step is too long, the linear functions at the end of the step are added to the model, as in bundle methods. If the curvature
   is unknown or has the wrong sign, the step length is measured in coordinates in which all directions have equal weight
   (`balanced_coordinates`).
@@ -153,7 +153,7 @@ class MinimaxProblem:
         """Returns the value of the largest goal and the violation of the bounds at a point.
 
         Args:
-            above: limit; the evaluation ends early if goal (1 + penalty excess) exceeds this limit.
+            above: limit; the evaluation ends early if the product of `goal` and (1 + penalty excess) exceeds this limit.
             penalty: factor that multiplies the violation `excess`.
         """
         goal, excess, i, j = 0.0, -1.0, 0, 0
@@ -381,8 +381,8 @@ class _Walk:
         return self.minimax.evaluate(x, allowed, self.penalty)
 
     def corrected(self, end: Array, t: Array) -> Array:
-        """Returns a corrected step t, shape (N,). This step is computed with the function values at the end of the uncorrected
-        step.
+        """Returns a corrected step t, shape (N,). The corrected step is computed with the function values at the end of the
+        uncorrected step.
         """
         goal, depth = self.evaluation.goal, self.depth
         count = len(self.minimax.goals)
@@ -415,9 +415,9 @@ def solve_subproblem(values: Array, slopes: Array, hessian: Array, M: Array, x: 
     The step t minimises max_i (values_i + slopes_i t) + t' hessian t / 2, subject to |x + M t| <= limit.
 
     The subproblem is solved as a least-distance problem, by non-negative least squares (Lawson, Hanson 1974, chapter 23). Let h
-    be the maximum, and y the step in coordinates with unit Hessian. Up to a negligible term, minimising h + |y|^2 / 2 then
-    means minimising the distance from a point far down the h axis. The first solution includes only the limits on entries that
-    are already close to their limits. Limits that this solution violates are then added.
+    be the maximum of the linear functions, and y the step in coordinates with unit Hessian. Up to a negligible term, minimising
+    h + |y|^2 / 2 then means minimising the distance from a point far down the h axis. The first solution includes only the
+    limits on entries that are already close to their limits. Limits that the first solution violates are then added.
 
     Returns:
         The step t, and the weights of the linear functions.

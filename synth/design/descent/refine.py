@@ -90,7 +90,7 @@ def refine(plant: Plant, Cy: Array | None, K: Array, Dyw: Array | None = None) -
 
 
 def lower_norm(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
-    """Performs `refine` with a `Landscape` of the plant. No new stage begins after the limit on the computing work is exceeded."""
+    """Performs `refine` with a landscape of the plant. No stage begins after the limit on the computing work is exceeded."""
     x = start = landscape.point(K)
     before, _ = landscape.norm(x)
     if not np.isfinite(before):

@@ -12,13 +12,13 @@ loop with G. K may fail to stabilise the loop, so the stability of the loop with
 If all states are measured, the Riccati equation of the H-infinity norm gives a gain whose norm is as close to the lower bound
 as required.
 
-Two types of descent search for a stabilising gain, from several starting points in turn. Neither type is certain to find
-such a gain, because no fast and certain method is known for this problem (Blondel, Gevers, Lindquist 1995).
+Two types of descent search for a stabilising gain, from several starting points in turn. Neither type of descent is certain to
+find a stabilising gain, because no fast and certain method is known (Blondel, Gevers, Lindquist 1995).
 
-- The first descent lowers the largest real part of the poles. The largest real part can be lowered quickly, but it is not
-Lipschitz continuous, and the descent stops at gains where poles coincide.
-- The second descent lowers the norm of (s - A - B K C_y + shift)^-1, which is finite while the shift exceeds the real part of
-  every pole. As the norm falls, the poles move to the left, and the shift follows them.
+- The first type of descent lowers the largest real part of the poles. The largest real part can be lowered quickly, but it is
+not Lipschitz continuous, and the descent stops at gains where poles coincide.
+- The second type lowers the norm of (s - A - B K C_y + shift)^-1, which is finite while the shift exceeds the real part of
+every pole. As the norm falls, the poles move to the left, and the shift follows them.
 """
 
 import contextlib
@@ -198,7 +198,7 @@ def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Ite
 def lower_poles(landscapes: Sequence[Landscape], x: Array, free: Array) -> Array:
     """Lowers the largest real part of the poles of all loops by descent, and returns the final point, shape (N,).
 
-    The loops are stable at this point if the largest real part is negative.
+    The loops are stable at the final point if the largest real part is negative.
 
     Args:
         landscapes: landscapes of the plants; a point represents the same gain in all of them.

@@ -1,6 +1,6 @@
 """Terms of a minimax problem as functions of the gain. Each term has a value, and smooth functions that bound it from below.
 
-A point x is a gain in the coordinates of a `Landscape`. These coordinates are the same for all terms of a problem.
+A point x is a gain in the coordinates of a `Landscape`. All terms of a problem use the same coordinates.
 """
 
 from abc import ABC, abstractmethod
@@ -20,8 +20,8 @@ class Linearisation:
     Attributes:
         values: values of the functions at the point, shape (F,).
         slopes: derivatives of the functions at the point with respect to its N entries, shape (F, N).
-        touching: True for each function that equals a local maximum of the term at the point, shape (F,). Only these functions
-            contribute to the curvature.
+        touching: True for each function that equals a local maximum of the term at the point, shape (F,). Only functions that
+            equal a local maximum contribute to the curvature.
         cuts: data that identifies the functions; each type of term has its own format.
     """
 
@@ -62,11 +62,12 @@ class Term(ABC):
         return self.support(x, value, 0.0).cuts
 
     def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
-        """Returns the weighted sum of the second derivatives of the touching functions, shape (N, N); zero if they are unknown.
+        """Returns the weighted sum of the second derivatives of the touching functions, shape (N, N); zero if the derivatives
+        are unknown.
 
         Args:
             x: point at which the functions in `support` were computed.
-            weights: weights of all functions of the support, shape (F,).
+            weights: weights of all functions in `support`, shape (F,).
         """
         return np.zeros((len(x), len(x)))
 

@@ -107,7 +107,8 @@ def fixed_order_design(
             found so far is returned. The default limit is about 14 s of processor time for a plant with 8 states.
 
     Returns:
-        The law with its certificate, and the name of its starting point. The law may have fewer states than the structure allows.
+        The law with its certificate, and the name of the starting point from which the search found the law. The law may have
+        fewer states than the structure allows.
 
     Raises:
         InputError: a matrix does not fit the plant, or the law would have more states than the plant.
@@ -327,7 +328,7 @@ class _Search:
     def appended(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
         """Returns laws that have additional states but give the same closed loop.
 
-        The new states receive the measurements, but have no effect.
+        The additional states receive the measurements, but have no effect.
         """
         (m, q), rows, dt = law.D.shape, structure.rows, self.plant.dt
         count = m if rows is not None else 1
@@ -365,7 +366,7 @@ class _Search:
         """Returns the law with the smallest norm that the search finds; if possible, with poles slow enough for an actuator.
 
         Args:
-            starts: laws of the required structure, possibly with fewer states, each with a name. If none of these laws makes
+            starts: laws of the required structure, possibly with fewer states, each with a name. If no law in `starts` makes
                 the loop stable, other starting points are used.
             origin: name of the starting point in the result. Default: the name of the best entry of `starts`.
             whole: True to run the search to its end; False to run only its first descents.

@@ -133,7 +133,8 @@ def in_equal_units(landscape: Landscape, x: Array, states: int) -> Array:
     """Returns an equivalent point, shape (N,), at which the row and the column of each state of the law have equal norms
     (Osborne 1960).
 
-    Laws that differ only in the units of their states give the same loop. Among such laws, the result has the smallest entries.
+    Laws that differ only in the units of their states give the same loop. Among equivalent laws, the result has the smallest
+    entries.
     """
     if not states:
         return x

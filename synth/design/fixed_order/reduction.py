@@ -1,5 +1,5 @@
 """Reduction of a law: laws with fewer states and nearly the same response, from several methods. The search continues by
-descent from the best of these laws.
+descent from the best reduced law.
 
 - Balanced truncation (Moore 1981) of the stable part of the law. The unstable part is kept unchanged.
 - Truncation after balancing in the closed loop (Enns 1984; the loop acts as frequency weights). The Gramians describe how w
@@ -7,7 +7,7 @@ descent from the best of these laws.
 - Both methods with singular perturbation (Liu, Anderson 1989): the omitted states are assumed to be in equilibrium instead of
     being zero.
 
-None of these methods guarantees a stable loop, so the caller must check the loop.
+No reduction method guarantees a stable loop, so the caller must check the loop.
 """
 
 import contextlib

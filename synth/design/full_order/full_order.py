@@ -98,7 +98,7 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
         search: search for laws for the plant; its internal units are used.
         start: law from which the descent starts.
         fastest: largest allowed magnitude of a pole, divided by the plant's own speed. If the poles with the starting law are
-            faster, their speed is the limit.
+            faster, the speed of these poles is the limit.
     """
     if not start.own.states:
         return []

@@ -9,8 +9,8 @@ The feedback gain is the same as in LQR, so preview does not change the poles. P
 
     mean square = trace Bw' X Bw - integral from 0 to T of trace F(s)' R F(s) ds.
 
-The mean square decreases as T grows. For T = 0, the mean square equals that of an LQR controller. The integral is computed from
-a Lyapunov equation.
+The mean square decreases as T grows. For T = 0, the mean square equals that of an LQR controller. The integral in this
+expression is computed from a Lyapunov equation.
 """
 
 from collections.abc import Sequence

@@ -5,14 +5,14 @@ measured, the controller is a gain (LQR). With noisy measurements, the LQR gain 
 No linear controller has a smaller mean square (separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
 
 LQG and H2 are the same problem. For LQG, the noise of each measurement is given separately; for H2, z and y belong to a
-generalised plant. If a measurement has no noise, or a force has no cost, the problem is singular. A small noise or a small
-cost, relative to the plant's internal units, is then assumed, and the result contains a remark about it. Noise and cost that
-the caller gives are used unchanged, even if they are small. Inputs and measurements are scaled so that their size is one and
-the Riccati equations contain no small numbers. An integral that is measured without noise is not estimated by the Kalman
+generalised plant. If a measurement has no noise, or a force has no cost, the problem is singular. A small noise or cost,
+relative to the plant's internal units, is then assumed, and the result contains a remark about this assumption. Noise and cost
+that the caller gives are used unchanged, even if they are small. Inputs and measurements are scaled so that their size is one
+and the Riccati equations contain no small numbers. An integral that is measured without noise is not estimated by the Kalman
 filter, because it only acts on z.
 
-The direct effect of white noise on z through Dw has an infinite mean square. No control changes this effect, so the effect is
-omitted.
+The direct effect of white noise on z through Dw has an infinite mean square. No control changes this direct effect, so the
+effect is omitted.
 """
 
 from collections.abc import Sequence

@@ -2,18 +2,19 @@
 of the poles.
 
 The equations are from Glover, Doyle 1988 and Zhou, Doyle, Glover 1996, Robust and Optimal Control, theorem 17.1. The names
-follow this book: D11 = Dw, D12 = D, D21 = Dyw, and X, Y, F, H with and without hats. The equations require D and Dyw of full
-rank, and no zero from u to z or from w to y on the imaginary axis. If D11 is not zero, the equations require D12 = [0; I] and
-D21 = [0 I]. Therefore z and w are rotated, u and y are scaled, and the result is transformed back. If gamma is close to the
-smallest value for which a solution exists, the solvers can return wrong solutions, so each solution is checked.
+follow the book of Zhou, Doyle and Glover: D11 = Dw, D12 = D, D21 = Dyw, and X, Y, F, H with and without hats. The equations
+require D and Dyw of full rank, and no zero from u to z or from w to y on the imaginary axis. If D11 is not zero, the equations
+require D12 = [0; I] and D21 = [0 I]. Therefore z and w are rotated, u and y are scaled, and the result is transformed back. If
+gamma is close to the smallest value for which a solution exists, the solvers can return wrong solutions, so each solution is
+checked.
 
-The order of a law is reduced in two ways. Neither way guarantees a good loop, so the loop with the reduced law is checked
-again.
+The order of a law is reduced in two ways. Neither way of reduction guarantees a good loop, so the loop with the reduced law is
+checked again.
 
 - *Fast modes* follow their input almost immediately. Fast modes are replaced by their static gain in D_c (residualisation;
   Kokotovic, Khalil, O'Reilly 1986, Singular Perturbation Methods in Control, section 1.3).
 - *Modes that cancel* have small Hankel singular values: the measurements hardly excite them, or they hardly affect the forces.
-  These modes are removed if they decay (balanced truncation; Moore 1981), and kept otherwise.
+  Modes that cancel are removed if they decay (balanced truncation; Moore 1981), and kept otherwise.
 
 The problem is singular if a measurement has no noise or a force has no cost. The best observer or the best gain is then
 infinitely fast, and the Riccati equations have no solution. A small noise and a small cost are therefore added. The size of the
@@ -24,9 +25,9 @@ which has fewer disturbances and outputs:
     norm of the true loop  <=  norm of the regularised loop  <  gamma,
 
 If the share of noise and cost is larger, the controller is slower. The share is therefore reduced until the required gamma is
-reached, which gives the slowest controller with this gamma. If no share reaches this gamma with a controller that is slow
-enough for an actuator, the search returns the trade-off between norm and speed. This trade-off consists of the smallest gamma
-for each share.
+reached, which gives the slowest controller with this gamma. If no share reaches the required gamma with a controller that is
+slow enough for an actuator, the search returns the trade-off between norm and speed. The trade-off consists of the smallest
+gamma for each share.
 
 If gamma approaches its smallest value, some poles of the central law tend to infinity, and the law without these poles is
 equally good. Each law that is too fast is therefore also tried without its fast poles.
@@ -102,7 +103,7 @@ def state_gain(plant: Plant, gamma: float, share: float = 0.0) -> Array:
         share: smallest cost of every force (regularisation), relative to the larger of the norms of D and C.
 
     Raises:
-        InfeasibleError: no state feedback has a norm below gamma, or rounding prevents finding it.
+        InfeasibleError: no state feedback has a norm below gamma, or rounding prevents finding such a state feedback.
     """
     (n, m), r = plant.B.shape, plant.Dw.shape[1]
     cost = missing(plant.D, share * max(_size(plant.D), _size(plant.C)))
@@ -141,7 +142,7 @@ def _invariant(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
     """Returns X = X' for which [I; X] spans the stable subspace of the Riccati equation's pencil.
 
     The method is the same as in `scipy.linalg.solve_continuous_are` (Arnold, Laub 1984, with a balanced pencil). The checks in
-    that function are omitted, because they take most of the time for small equations. The caller checks every solution.
+    the SciPy function are omitted, because they take most of the time for small equations. The caller checks every solution.
 
     Raises:
         LinAlgError: the dimension of the stable subspace is not n, or the first block of its basis is singular.
@@ -181,7 +182,8 @@ CANCELS = 1e-6
 
 
 def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
-    """Returns a law without its fast modes and without modes that cancel. A law that has no such modes is returned unchanged.
+    """Returns a law without its fast modes and without modes that cancel. A law without fast modes and without modes that
+    cancel is returned unchanged.
 
     Args:
         law: law in continuous time, in units in which its entries have similar magnitudes.
@@ -367,7 +369,7 @@ class RiccatiSearch:
 
     Attributes:
         fastest: speed of the plant without control [rad/s]; see `speed`.
-        much: multiple of `fastest`. A loop that is faster than this multiple must be justified by a lower norm; see `PRICE`.
+        much: multiple of `fastest` above which the speed of a loop must be justified by a lower norm; see `PRICE`.
     """
 
     def __init__(self, plant: Plant, bound: float, quick: float = 0.0) -> None:
@@ -454,7 +456,7 @@ class RiccatiSearch:
     def smallest(self, share: float, above: float) -> float:
         """Returns the smallest gamma for which the regularised problem has a solution, for a given share of noise and cost.
 
-        This gamma is at most `above`, which is the smallest possible gamma for a larger share.
+        The smallest gamma is at most `above`, which is the smallest possible gamma for a larger share.
         """
         low = max(_coarse(self.bound), SMALLEST)
         high, guess = above, 2 * low
@@ -489,7 +491,7 @@ class RiccatiSearch:
         return TradeOffPoint(share, back, law, self, loop.at_poles() * (1 - ROUNDING_OF_GAIN) / own.norm, speed_up)
 
     def reduced(self, best: TradeOffPoint) -> TradeOffPoint:
-        """Returns the controller without its negligible states, if their removal neither changes the norm nor raises `trouble`."""
+        """Returns the controller without its negligible states if their removal neither changes the norm nor raises `trouble`."""
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             law = reduced_law(best.own, FASTEST * self.fastest / self.own.rate)
             less = self.judged(best.share, law) if law.states < best.own.states else None
@@ -524,6 +526,6 @@ class RiccatiSearch:
 def _coarse(gamma: float) -> float:
     """Rounds a number down so that numbers which differ only by rounding errors usually give the same result (see GRAIN).
 
-    Without this rounding, results would depend on units, because bounds in different units have different rounding errors.
+    Without rounding down, results would depend on units, because bounds in different units have different rounding errors.
     """
     return float(np.exp2(np.floor(np.log2(gamma) / GRAIN) * GRAIN)) if gamma else 0.0

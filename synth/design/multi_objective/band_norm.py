@@ -45,7 +45,7 @@ class BandLandscape(Landscape):
         """Returns the real parts of the poles that the gain changes [rad/s], shape (P,), and their derivatives, shape (P, m q).
 
         A pair of conjugate poles counts once. Poles of filters are omitted, because no gain can change these poles. The filter
-        states are the last states.
+        states are the last states of the plant.
         """
         loop, own, known = self.loop(x), slice(self.own), self.modes(x) if self.own == len(self.plant.A) else None
         if known is not None and known.vectors is not None:

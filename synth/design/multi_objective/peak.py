@@ -127,7 +127,7 @@ class Peak:
     Attributes:
         value: largest magnitude.
         time: time after the start of the road at which the largest magnitude occurs [s].
-        proved: proved upper bound on the magnitude; infinite if none is known.
+        proved: proved upper bound on the magnitude; infinite if no bound is known.
     """
 
     value: float
@@ -195,7 +195,7 @@ def _beside_kinks(response: RoadResponse, y: Array, at_ends: Array) -> float:
 
 
 def _later(driven: RoadLoop, A: Array, c: Array, xi: Array, step: float, known: float) -> Peak:
-    """Returns the peak of the free motion after the last time step, if this peak is the highest so far, and a bound on the free
+    """Returns the peak of the free motion after the last time step, if it is the highest peak so far, and a bound on this
     motion.
     """
     z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # height of the road after its end

@@ -30,7 +30,7 @@ def posed_goals(
     """Returns the multi-objective problem for given goals, without the individual optima of its members.
 
     Args:
-        members: members of the family, each with a plant for every entry of `norms_of`, and with the data for its other bounds.
+        members: members of the family, each with a plant for every entry of `norms_of`, and with the data for the other bounds.
         measured: names of the q measured signals.
         forces: names of the m inputs.
     """

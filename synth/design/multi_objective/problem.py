@@ -64,7 +64,7 @@ def MeasuredPlant(plant: Plant, Cy: Matrix, Dyw: Matrix | None = None, through: 
         through: direct effect of the forces on the measurements, shape (q, m); zero by default.
 
     Returns:
-        A copy of the plant with these measurements.
+        A copy of the plant, with y as its measurements.
 
     Raises:
         InputError: a matrix does not fit the plant.
@@ -112,7 +112,7 @@ class GainErrors(CheckedFields):
         return self.sensors.tobytes() + self.forces.tobytes()
 
     def on(self, plant: Plant) -> Plant:
-        """Returns the plant with these gain errors in its measurements and forces."""
+        """Returns the plant with the gain errors in its measurements and forces."""
         u, y = 1 + self.forces, 1 + self.sensors[:, None]
         if np.all(u == 1) and np.all(y == 1):
             return plant

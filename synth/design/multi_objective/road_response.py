@@ -2,8 +2,8 @@
 
 The road heights under the wheels are z, and w = z' is the road velocity. The substitution x = xi + Bw z turns x' = A x + Bw w +
 Br z into xi' = A xi + (A Bw + Br) z. The road velocity, which jumps at a kink and is infinite at a vertical edge, does not
-appear in the new equation. The convolution integral over each time step is computed by a quadrature of order 16. A step with a
-kink is split into intervals that become shorter towards the kink, from both sides. Between two times, the signal is
+appear in the equation for xi. The convolution integral over each time step is computed by a quadrature of order 16. A step with
+a kink is split into intervals that become shorter towards the kink, from both sides. Between two times, the signal is
 approximated by the cubic polynomial with the values and derivatives at both times.
 """
 
@@ -88,7 +88,7 @@ class QuadratureInterval:
         step: index of the time step.
         start, length: start and length of the interval [s].
         nodes: road heights at the nodes of the quadrature, shape (NODES, r).
-        at_kink: True if one of the ends is a kink.
+        at_kink: True if one of the ends of the interval is a kink.
     """
 
     step: int
@@ -230,7 +230,7 @@ class RoadResponse:
     def between(self, values: Array, slopes: Array) -> tuple[Array, Array]:
         """Returns the maxima of the cubics between neighbouring times, and their positions, each of shape (T-1,).
 
-        A position is a number of steps from time 0. In a step with a kink, only the two ends are considered.
+        A position is a number of steps from time 0. In a step with a kink, only the two ends of the step are considered.
 
 
         Args:

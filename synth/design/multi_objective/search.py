@@ -1,11 +1,11 @@
 """Search for the gain that minimises the goal and fulfils all bounds, from many starting points.
 
 - Starting points that make all loops stable are ranked. From a few of the best points, the search descends for some rounds.
-  From the best of the results, the search descends until it converges.
+  From the best result, the search descends until it converges.
 - If the gain has no limit, it grows in stages, as in `synth.design.descent.growth`, as long as the decrease of the goal
   justifies the growth.
 - If the box of gain errors has few vertices, all vertices are taken into account ("active"). Otherwise, only the worst errors
-  found so far are active. Only the certificate proves that no error in the box is worse.
+  found so far are active. Only the certificate proves that no error in the box is worse than the active errors.
 - At every starting point and at the end of every descent, the search looks for errors that make a loop unstable. If no decay
   rate is required, the slowest pole must keep a tenth of the decay rate that the best starting point has with gain errors.
 """
@@ -100,8 +100,8 @@ class MinimaxSearch:
         """Lowers the goal by descent from a gain, for a fixed number of rounds. Returns the best point that fulfils all bounds;
         None if there is no such point.
 
-        The number of rounds, `TURNS_ON` times `GLANCE`, is fixed. There is no time limit, so the result is the same on every
-        computer.
+        The number of rounds, `TURNS_ON` times `GLANCE`, is fixed. The search has no time limit, so the result is the same on
+        every computer.
 
         Args:
             gain: gain with stable loops, shape (m, q).
@@ -285,7 +285,7 @@ class MinimaxSearch:
         return descend(self.minimax, x, self.coordinates(x), rounds, self.moved, flat=FLAT * self.settled / CLOSELY)
 
     def staged_descent(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation, float | None]:
-        """Descends until convergence: in one stage if the gain has a limit, otherwise in stages with a growing gain."""
+        """Performs descents until convergence: in one stage if the gain has a limit, otherwise in stages with a growing gain."""
         if self.problem.gain is not None:
             return *self.converge(x, evaluation), None
         size = float(np.abs(x).max()) or 1.0

@@ -36,7 +36,7 @@ class WorstCaseErrors:
         """Yields, for every member, the worst errors found for the goal, for each bound on a norm, and for the decay rate.
 
         Each item contains the gain errors, and the value that they cause, divided by the known goal or by the bound. A value
-        above 1 means that these errors are worse than all known errors.
+        above 1 means that the gain errors of the item are worse than all known errors.
 
         Args:
             K: gain, shape (m, q).

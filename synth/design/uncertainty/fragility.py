@@ -3,7 +3,7 @@ errors on the norm.
 
 Each margin has two limits: a box of errors for which the property is proved, and errors for which the property fails. If there
 is one force, an error of this force has the same effect as equal errors of all measurements. If there are several forces, each
-force has its own error in addition.
+force also has its own error.
 """
 
 import math
@@ -88,7 +88,7 @@ class ErrorMargin:
     """Margin of relative gain errors: a size of errors that is proved harmless, and a size that is harmful.
 
     Attributes:
-        proved_margin: errors up to this size, in any combination, are proved harmless; 0 if nothing is proved.
+        proved_margin: size up to which errors, in any combination, are proved harmless; 0 if nothing is proved.
         bound: proved bound on the norm for all errors up to `proved_margin`; infinite if nothing is proved.
         smallest_violation: size of the smallest harmful errors that were found; infinite if no errors up to 1 are harmful.
         readings, forces: smallest harmful relative errors of measurements and forces, shapes (q,) and (m,). If no errors are
@@ -203,8 +203,8 @@ def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> 
 def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tuple[float, Array]:
     """Returns the smallest size of errors along the rays for which the norm exceeds a level, and the errors with this size.
 
-    If the norm never exceeds the level, the size is infinite. In this case, the errors are those at the end of the ray with the
-    largest norm.
+    If the norm never exceeds the level, the size is infinite. For an infinite size, the errors are those at the end of the ray
+    with the largest norm.
     """
     best, at = np.inf, None
     for ray in rays:

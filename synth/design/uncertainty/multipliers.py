@@ -10,8 +10,8 @@ At a given frequency, the norm from w to z is therefore at most gamma if, for al
     |z|^2 - gamma^2 |w|^2 + q* D q - p* D p + j (p* G q - q* G p)  <=  0
 
 (Fan, Tits, Doyle 1991, Robustness in the presence of mixed parametric uncertainty and unmodeled dynamics, IEEE Transactions on
-Automatic Control 36). If this form, without w and z, is negative at all frequencies, no errors in the box move a pole across
-the imaginary axis. If the loop is stable for the middle of the box, it is then stable for the whole box.
+Automatic Control 36). If the left side, without w and z, is negative at all frequencies, no errors in the box move a pole
+across the imaginary axis. If the loop is then stable for the middle of the box, the loop is stable for the whole box.
 
 The proof divides the frequencies into intervals with constant D and G. Frequencies at which the form is singular show whether
 the form is negative in the whole interval, as in `structured_bound.py`. The proof needs no grid of frequencies and does not

@@ -1,10 +1,11 @@
 """D-K iteration: design of a law with better robust performance (smaller mu) than the law with the smallest norm.
 
 For a given law, the best scale of each error is a function of frequency. A stable first-order filter with a stable inverse
-approximates the magnitude of this scale where mu is large. If these filters are added at the inputs and outputs of the loop,
-the norm of the loop is an upper bound on mu. A design that minimises the norm lowers this bound (D-K iteration; Doyle 1985;
-Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 11.4). Each of these two steps is nearly optimal, but alternating
-between them need not find the best law. Each law is evaluated by a separately proved bound on mu, and the best law is kept.
+approximates the magnitude of the best scale at frequencies where mu is large. If the filters for all errors are added at inputs
+and outputs of the loop, the norm of the loop bounds mu from above. A design that minimises the norm lowers the bound on mu (D-K
+iteration; Doyle 1985; Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 11.4). Each of the two steps, scaling and
+design, is nearly optimal, but alternating between the steps need not find the best law. Each law is evaluated by a separately
+proved bound on mu, and the best law is kept.
 """
 
 from dataclasses import replace

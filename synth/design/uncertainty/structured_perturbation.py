@@ -2,9 +2,10 @@
 
 At one frequency, the structured singular value is the largest spectral radius of Q M over all unitary Q with the structure of
 the errors (Doyle 1982). The power iteration of Packard, Fan and Doyle (1988, A power method for the structured singular value,
-CDC) searches for this Q. Any such Q gives a lower bound on the structured singular value. A stable first-order all-pass can
-have the phase that an error needs at this frequency, so linear systems of equal norm realise the errors. The loop with these
-systems is then checked: it is either unstable, or its norm gives the lower bound.
+CDC) searches for the Q with the largest spectral radius. Any unitary Q with the structure of the errors gives a lower bound on
+the structured singular value. At one frequency, a stable first-order all-pass can have the required phase of an error, so
+linear systems of equal norm realise the errors. The loop with the all-pass errors is then checked: it is either unstable, or
+its norm gives the lower bound.
 """
 
 from collections.abc import Sequence

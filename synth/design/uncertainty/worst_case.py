@@ -282,7 +282,7 @@ def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float, patience
 
     Args:
         patience: factor on the usual number of attempts to find an X; if there are many errors, only one attempt is made. If
-            the factor is below 1 and there are many errors, multipliers are tried first.
+            `patience` is below 1 and there are many errors, multipliers are tried first.
 
     Returns:
         The proof, or None if no proof is found.
@@ -392,7 +392,9 @@ class WorstNorm:
 
     @property
     def unstable(self) -> bool:
-        """True if a loop in the box is unstable. The attributes `readings` and `forces` are then the errors of this loop."""
+        """True if a loop in the box is unstable. If a loop is unstable, the attributes `readings` and `forces` are the errors
+        of this loop.
+        """
         return bool(np.isinf(self.found))
 
 
