@@ -1,10 +1,10 @@
 """L2 gain of a vehicle's sampled-data loop, from the continuous road velocity to the continuous output z.
 
-This gain corresponds to the norm (18) of the continuous loop, but also takes into account `[implementation]` and the actuator
-lag in `[limits]`. The force is delayed and held constant during each sample period, while road and vehicle move continuously.
-Nonlinear parts (limits of force and stroke, quantisation) are not included. Measurement noise is included if the controller's
-section specifies it. With actuator lag, z contains the lagged force that acts on the vehicle. An integral in z is not included,
-because a computer adds up samples instead of integrating, and only the sum of samples returns to zero.
+This L2 gain corresponds to the norm (18) of the continuous loop, but also takes into account `[implementation]` and the
+actuator lag in `[limits]`. The force is delayed and held constant during each sample period, while road and vehicle move
+continuously. Nonlinear parts (limits of force and stroke, quantisation) are not included. Measurement noise is included if the
+controller's section specifies it. With actuator lag, z contains the lagged force that acts on the vehicle. An integral in z is
+not included, because a computer adds up samples instead of integrating, and only the sum of samples returns to zero.
 """
 
 import math
@@ -136,7 +136,7 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
     """Returns the limit that the norm of the sampled-data loop approaches as the sample period goes to zero.
 
-    The limit is the norm of the continuous loop with actuator lag. The road is the only disturbance of this loop.
+    The limit is the norm of the continuous loop with actuator lag. The road is the only disturbance of the continuous loop.
     """
     if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None and not vehicle.integrals:
         return controller.certificate.norm.value

@@ -3,8 +3,9 @@ and back.
 
 If z contains a weighted integral, the integral must return to zero; otherwise z has no finite norm. A law designed for a z with
 a weighted integral therefore feeds this integral back. The first states of the law are integrals of its measurements, x_c' = S
-y. The same integrals are also states of the plant. If a loop contained both copies of an integral, the difference of the copies
-would never decay. The loop therefore contains each integral only once: the law is treated as a law on [y; integrals].
+y. The integrals that are states of the law are also states of the plant. If a loop contained both copies of an integral, the
+difference of the copies would never decay. The loop therefore contains each integral only once: the law is treated as a law on
+[y; integrals].
 
 Even if the law contains no integrals, its loop can have a finite norm, if the integrated signal is zero at 0 rad/s for every
 road. Let the loop be x' = A x + B w, and let c x + d w be the integrated signal. If c A^-1 B = d, the integral is c A^-1 x,

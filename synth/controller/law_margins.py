@@ -1,15 +1,15 @@
 """Warnings about a control law: instability of the law itself, windup, direct feedback, and small margins of its ideal loop.
 
-- A law is *unstable by itself* if its own states grow without measurements. Such a law has a pole to the right of the imaginary
-  axis, or outside the unit circle.
+- A law is *unstable by itself* if its own states grow without measurements. A law that is unstable by itself has a pole to the
+right of the imaginary axis, or outside the unit circle.
 - A law *winds up* if it is unstable by itself and has no anti-windup, and the vehicle file clips its forces (`actuator_force`
   or semi-active dampers). The states of a law that winds up grow, but the effect of the clipped forces on the measurements is
   bounded. Later measurements can therefore not bring the states back to zero. An integrator, which has a pole at 0, does not
   count as unstable, because its state grows no faster than the sum of its inputs.
 - *Direct feedback* means that measurements contain the force of the law without delay, as accelerations do. Let H be the gain
-  from the force through these measurements back to the force. In the ideal loop, the force u satisfies u = H u + v, where v is
-  the part of the force without this feedback. With sampling or any delay, each computed force contains H times the previous
-  force. The force grows if the spectral radius of H is 1 or more.
+  from the force, through the measurements that contain the force, back to the force. In the ideal loop, the force u satisfies u
+  = H u + v, where v is the part of the force without direct feedback. With sampling or any delay, each computed force contains
+  H times the previous force. The force grows if the spectral radius of H is 1 or more.
 - The *margins* describe the ideal loop, cut at all actuators at once. The ideal loop is continuous, without `[limits]` and
   `[implementation]`; it contains actuator lag only if the design includes it. The gain margin is the factor closest to 1 that
   makes the loop unstable when it multiplies all forces. If H has a positive eigenvalue h, the gain margin is at most 1 / h. A
@@ -141,7 +141,9 @@ def law_fault(vehicle: Vehicle, controller: AnyController) -> str:
 
 
 def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
-    """Returns a warning about laws that are unstable by themselves, and a warning about small margins of other laws."""
+    """Returns a warning about laws that are unstable by themselves, and a warning about small margins of laws that are stable
+    by themselves.
+    """
     grow = {name: one for name, one in margins.items() if one.growth}
     clipped = {f", winding up {one.winds_up}": None for one in grow.values() if one.winds_up}
     rates = ", ".join(f"{as_name(name)} (+{rough(one.growth)} 1/s)" for name, one in grow.items())

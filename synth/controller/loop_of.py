@@ -36,8 +36,8 @@ HEIGHT, MIDWAY, HELD, SIGNAL, READ, NOISE = ".height", ".midway", ".held", ".sig
 
 
 def with_lag(vehicle: Vehicle) -> LinearModel:
-    """Returns the linear model, with actuator lag if the vehicle has it. With actuator lag, the last states of the model are
-    the forces after the lag.
+    """Returns the linear model, with actuator lag if the vehicle file specifies a lag. With actuator lag, the last states of
+    the model are the forces after the lag.
     """
     return vehicle.linear_model.behind_lag(vehicle.limits.actuator_bandwidth)
 

@@ -50,7 +50,7 @@ class ClosedLoop:
 
     Attributes:
         plant: plant that includes the states of the law, except for those that the plant already contains.
-        G: static gain on this plant.
+        G: static gain on the plant with the states of the law.
         plant_without_law: plant without the states of the law.
         states: names of the states of the plant without the law.
         law_states: number of states of the law, which follow the states of the plant.
@@ -205,13 +205,13 @@ class Problem:
 
 
 def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignConditions, plant: Plant | None = None) -> Problem:
-    """Returns the control problem for which a controller with these measured signals is designed and evaluated.
+    """Returns the control problem for which a controller with the given measured signals is designed and evaluated.
 
     Args:
         vehicle: vehicle of the controller.
         measured: names of the q measured signals.
         hardware: sensor noise, actuator lag and loads.
-        plant: `generalized_plant` of the vehicle for this hardware, if already computed.
+        plant: `generalized_plant` of the vehicle for the given hardware, if already computed.
 
     Raises:
         InputError: the vehicle does not have a measured signal.
@@ -284,7 +284,7 @@ def road_rates(vehicle: Vehicle, plant: Plant) -> tuple[Array, Array]:
 
 
 def measured_integrals(vehicle: Vehicle, measured: Sequence[str]) -> dict[str, Mapping[str, float]]:
-    """Returns the integrals in z whose signals are all measured; for each integral, by name, the factor of each signal in it."""
+    """Returns, by name, the integrals in z whose signals are all measured, with the factor of each signal in the integral."""
     return {name: terms for name, terms in vehicle.integrals.items() if set(terms) <= set(measured)}
 
 
@@ -301,8 +301,8 @@ def generalized_plant(
 ) -> Plant:
     """Returns the plant (15) of a vehicle: its linear model, with the weighted signals of `[performance]` as z, see (34)-(37).
 
-    The states of the vehicle come first; the last of these states are the forces after actuator lag. The states of
-    frequency-dependent weights and of the road filter follow.
+    The states of the vehicle come first; the last of these states are the forces after actuator lag. The last states belong to
+    frequency-dependent weights and to the road filter.
 
     Args:
         vehicle: vehicle of the plant.

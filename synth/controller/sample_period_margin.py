@@ -32,8 +32,8 @@ LONGEST = 100.0  # longest sample period that is tested if the vehicle does not 
 
 
 def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
-    """Returns True if all forces must be sampled: the loop is cut at every force, some are measured, or two copies of the law
-    would diverge.
+    """Returns True if all forces must be sampled: the loop is cut at all forces, some are measured, or two copies of the law
+    diverge.
 
     Two copies diverge from each other if both have a mode that does not decay, such as an integrator, because no measurement
     contains their difference.
@@ -48,7 +48,7 @@ def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
 def sampled_part(loop: Loop, forces: Sequence[str]) -> Loop:
     """Returns the continuous loop through the sampled forces.
 
-    The plant of this loop includes the feedback of the forces that are not sampled.
+    The plant of the continuous loop includes the feedback of the forces that are not sampled.
     """
     plant, law, mine = loop.plant.part(loop.measured, loop.forces), loop.acting_law, np.isin(loop.forces, forces)
     if all_sampled(loop, forces):
@@ -125,8 +125,8 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
 
     The search increases the sample period until all motion decays within one period, in steps so short that no pole turns by
     more than 0.05 rad. The product of 1 - z_i z_j over all pairs of eigenvalues z is a smooth function of the sample period,
-    and it is negative where the loop becomes unstable. The minima of this product reveal ranges of instability that are shorter
-    than one step. The result is 0 if a force acts undiminished, through its own measurement, on itself.
+    and it is negative where the loop becomes unstable. The minima of the product reveal ranges of unstable sample periods that
+    are shorter than one step. The result is 0 if a force acts undiminished, through its own measurement, on itself.
 
     Args:
         loop: loop that is stable in continuous time.

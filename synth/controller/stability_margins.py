@@ -170,7 +170,8 @@ def gain_crossings(cut: StateSpace, tried: Array | None = None) -> list[float]:
 
     If `tried` is given, with shape (K,), only the intervals between these K factors are searched. If the loop has a
     feedthrough, the factor at which its spectral radius reaches 1 is also a limit, because with larger factors any delay causes
-    instability. If this limit is below 1, the loop itself is only theoretical, and factors beyond the limit are returned, too.
+    instability. If the limit from the feedthrough is below 1, the loop itself is only theoretical, and factors beyond the limit
+    are returned, too.
     """
     n = len(cut.A)
     if cut.dt is not None:

@@ -1,10 +1,11 @@
 """Static gains by descent on the norm: descent replaces the two-step method if this method fails, or refines its result.
 
 The two steps can fail in several ways: a central path ends early, the gain grows without limit, or a problem is too large.
-Problem (25) of the paper may also have no solution for any of the matrices X that are tried. A stabilising gain may still
-exist, and the search in `static.py` does not need a central path. If no gain can exist, the reason is found and reported first.
-Reasons why no gain can exist are a mode that no force affects or no measurement contains, and a pole that no gain can change.
-If weighting filters or noise keep the norm of the two-step gain far above the lower bound, descent continues from this gain.
+Problem (25) of the paper may also have no solution for any of the matrices X that are tried. Even if the two steps fail, a
+stabilising gain may exist, and the search in `static.py` does not need a central path. If no gain can exist, the reason is
+found and reported first. Reasons why no gain can exist are a mode that no force affects or no measurement contains, and a pole
+that no gain can change. If weighting filters or noise keep the norm of the two-step gain far above the lower bound, descent
+continues from this gain.
 """
 
 import contextlib

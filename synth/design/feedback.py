@@ -81,7 +81,7 @@ def design_feedback(
         fastest_pole: largest magnitude of the closed-loop poles [rad/s], for order = "full" of a continuous plant; None for no
             limit.
         noise: rms noise of each measurement, shape (q,). In an H-infinity design, noise is an additional disturbance, scaled by
-            this rms value. For LQG, the noise is white; see `lqg_design`.
+            its rms value. For LQG, the noise is white; see `lqg_design`.
         sample_period: sample period of the computer that closes the loop of a continuous plant and holds the forces [s].
         delay: delay from a measurement to the force computed from it [sample periods].
         minimise: the norm to minimise, for example {"band": [4.0, 8.0]} [Hz] or {"signals": {"z1": 1.0}}.
@@ -95,7 +95,8 @@ def design_feedback(
             law from each measurement to its force.
         pid: time constant [s] of the low-pass filter on the derivative of a "pid" law, for example {"filter": 0.01}.
         largest_gain: largest |K_ij| allowed for a static gain with the smallest norm, in the units of the plant. Default: 1e5.
-        lower_bound: lower bound on the norm of every controller from these measurements, if known; the certificate contains it.
+        lower_bound: lower bound on the norm of every controller that uses the measurements, if known; the certificate contains
+            this bound.
         states: names of the states, used in error messages.
 
     Returns:

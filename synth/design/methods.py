@@ -1,4 +1,4 @@
-"""Choice of the design methods for a problem, and `design`, which runs them.
+"""Choice of the design methods for a problem, and `design`, which runs the methods.
 
 A method is a function in its own file, and a row in `EXTENSIONS` of `models.common.extensions`:
 
@@ -30,7 +30,7 @@ LARGEST_BOUNDED = 20
 
 
 def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Returns two lists of methods: methods that are tried until one succeeds, and methods that then improve its result."""
+    """Returns two lists of methods: methods that are tried until one succeeds, and methods that then continue from the result."""
     if problem.method:
         return (problem.method,), ()
     if problem.errors is not None:

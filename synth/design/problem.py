@@ -52,7 +52,7 @@ def quiet(value: float, within: bool) -> None:
 
 @dataclass(frozen=True, eq=False)
 class WellPosedProblem:
-    """Problem (22) of a plant, regularised if it is degenerate.
+    """Problem (22) of a plant, regularised if (22) is degenerate.
 
     Attributes:
         plant: plant for which the controller is designed; this is the given plant unless the problem of the given plant is
@@ -84,7 +84,7 @@ class DesignProblem:
         plant: plant with n states, m inputs and q measurements y = C_y x + Dyw w.
         order: "static" for a gain, or "full" for a law with as many states as the plant. If `structure` is given, the order of
             this structure is used instead.
-        structure: structure of a law with fewer states than the plant; None if there is no such structure.
+        structure: structure of a law with fewer states than the plant; None if no structure is required.
         design: name in `DESIGNS`, such as "h2" to minimise the mean square of z. If the name is empty, the H-infinity norm is
             minimised.
         method: name in `METHODS` of the only method to use. If the name is empty, `choose` selects the methods.
@@ -106,13 +106,13 @@ class DesignProblem:
             `alternatives` is False, so that the result of the two steps is not changed.
         thorough: True to compute the lower bound of a sampled-data loop, and to report which properties are not proved for a
             family of plants.
-        lower_bound: lower bound on the norm of every controller from these measurements, if known.
+        lower_bound: lower bound on the norm of every controller that uses the measurements, if known.
         states: names of the states, used in error messages.
         path: function that returns the central path of (22) if it is known, or raises a DesignError.
         as_run: function that converts a designed law to the law that is executed, for example to a law that subtracts forces
             from its measurements.
         certify: function that returns the certificate of a law in the form in which it is executed. Default: the certificate of
-            the closed loop of this law and the plant.
+            the closed loop of the law and the plant.
         work: counter of the computing work of all searches. Default: each search has its own counter.
         start: result of the previous method, from which the next method continues; None for the first method.
         failure: error that the previous method raised, if it found no controller.
@@ -146,7 +146,7 @@ class DesignProblem:
     failure: Exception | None = None
 
     def starting(self, start: "DesignResult") -> "DesignProblem":
-        """Returns this problem, extended by the result from which the next method continues."""
+        """Returns the problem, extended by the result from which the next method continues."""
         return replace(self, start=start)
 
     def certified(self, law: LinearLaw) -> Certificate:

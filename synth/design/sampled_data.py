@@ -20,7 +20,7 @@ is based on the optimal state feedback, the second step may have no solution. A 
 another gain that is equally good. Descent on the exact norm then starts from the gains of the two steps and of the continuous
 design. The gain with the lowest norm is used. The gain of the two steps is kept if descent hardly lowers its norm. If the two
 steps find no gain, or if the plant without control has a lower norm, descent starts from all known gains. A remark in the
-result then gives the reason. The two steps ignore measurement noise; descent takes it into account.
+result then gives the reason. The two steps ignore measurement noise, but descent takes the noise into account.
 
 The norm has several local minima if the phase of a mode of the plant advances by a considerable part of a turn within a sample
 period. A gain that is good for a short period may make the loop unstable for a long period. Descent therefore starts at the
@@ -578,7 +578,8 @@ def _second(plant: Plant, R: Array) -> CentralPoint:
 def _level(
     problem: SampledDataProblem, path: Callable[[Plant], list[CentralPoint]], start: float
 ) -> tuple[float, list[CentralPoint]]:
-    """Returns the level for which the central path of the discrete plant ends at a norm of 1, and this path.
+    """Returns the level for which the central path of the discrete plant ends at a norm of 1, and the central path for this
+    level.
 
     If the path ends at a norm below 1 for every level above the largest gain within one period, the level is equal to this
     gain. If a problem has no solution at a level far above the norm, it has no solution at lower levels either.

@@ -105,8 +105,8 @@ def static_output_feedback(
         largest_gain: largest allowed |K_ij|, in the units of the plant. The limit keeps the gain finite if the norm continues
             to decrease as the gain grows. The search works in balanced coordinates, but a change of units changes the meaning
             of the limit and may lead to another local minimum.
-        lower_bound: lower bound on the norm with every static gain. The search ends early if the norm is close to this bound,
-            and the certificate contains the bound.
+        lower_bound: lower bound on the norm with every static gain. The search ends early if the norm is close to the lower
+            bound, and the certificate contains this bound.
         Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). Default: zero if Cy is given, otherwise
             the Dyw of the plant. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting
             points.

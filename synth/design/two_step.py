@@ -99,7 +99,7 @@ def output_feedback(plant: Plant, L: Array, Q: Array) -> list[CentralPoint]:
         Q: basis of the nullspace of C_y, shape (n, n - q).
 
     Raises:
-        NoSolutionError: (25) has no solution with eta > 0 for this L.
+        NoSolutionError: (25) has no solution with eta > 0 for the given L.
     """
     R = r_matrix(plant.Cy, Q, L)
     try:
@@ -183,7 +183,7 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: K
 
     Args:
         path: central path from `state_path`; if empty, the path is computed.
-        lower_bound: lower bound on the norm of every state feedback; the certificate contains it.
+        lower_bound: lower bound on the norm of every state feedback; the certificate contains this bound.
 
     Raises:
         InfeasibleError, DesignError: `state_path` raises this type of error, or no certificate holds.
@@ -200,7 +200,7 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
     """Returns the last gain of a central path whose certificate holds and whose loop is slow enough for actuators.
 
     The loops of all certified gains may be too fast compared with the plant, for example if the plant hardly moves without
-    control. If so, speeds are compared with the slowest of the certified loops, and not with the plant.
+    control. If all certified loops are too fast, speeds are compared with the slowest of these loops, and not with the plant.
 
     Raises:
         DesignError: no certificate holds.
@@ -255,7 +255,8 @@ def two_step_design(
         Cy: matrix of the measurements y = C_y x, shape (q, n). Default: the Cy of the plant. If a row of C_y depends linearly
             on other rows, the gain on this row is zero.
         path: central path of (22); if empty, the path is computed.
-        lower_bound: lower bound on the norm of every controller from these measurements; the certificate contains it.
+        lower_bound: lower bound on the norm of every controller that uses the measurements; the certificate contains this
+            bound.
         states: names of the states, used in error messages.
 
     Returns:
@@ -347,7 +348,7 @@ def independently_measured(plant: Plant) -> tuple[Plant, Plant, list[int]]:
 def with_redundant_rows(design: DesignResult, kept: Sequence[int], q: int, state_step_gap: float) -> DesignResult:
     """Converts a design for some of q measurements to a design for all q measurements.
 
-    The gain on the other measurements is zero.
+    The gain on measurements that the design does not use is zero.
     """
     law = unchecked_static_law(on_all_rows(design.gain, kept, q))
     redundant = tuple(i for i in range(q) if i not in kept)

@@ -125,7 +125,7 @@ class ExportedLaw:
 
     @property
     def readings(self) -> int:
-        """Number q of measurements, without the velocities of the suspensions."""
+        """Number q of measurements, not counting the velocities of the suspensions."""
         return len(self.resolution)
 
 
@@ -152,8 +152,7 @@ def exported_law(
         name: prefix of all names in the C code.
         ranges: largest magnitude of each measurement, by its name; used for fixed-point code. Measurements whose peak is proved
             may be omitted.
-        sources: text for each range that the user did not give, which describes how the range was found, by name of the
-            measurement.
+        sources: description of the source of each range that the user did not give, by name of the measurement.
 
     Raises:
         InputError: the controller is a Python law or an FMU, has no sample period although it needs one, or controls dampers
@@ -243,7 +242,8 @@ def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:
 def _ranges(
     vehicle: Vehicle, driver: AnyController, given: Mapping[str, float], sources: Mapping[str, str]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Returns the fixed-point range of each measurement of a controller, shape (q,), and descriptions of their sources.
+    """Returns the fixed-point range of each measurement of a controller, shape (q,), and a description of the source of each
+    range.
 
     Raises:
         InputError: a measurement has no range, a range belongs to no measurement, or the controller acts on dampers.

@@ -2,9 +2,9 @@
 
 The range of each measurement is known in advance, and the measurement is clipped at this range. The ranges of the measurements
 determine the peaks of the states, through sums of the state responses, and then the peaks of the forces. If the units are
-chosen for these peaks, no value can overflow. The unit of a quantity is its peak divided by the largest integer, rounded up to
-a power of two. If the range of a quantised measurement contains few enough quantisation steps, one quantisation step is the
-unit of the measurement.
+chosen for the peaks of the states and forces, no value can overflow. The unit of a quantity is its peak divided by the largest
+integer, rounded up to a power of two. If the range of a quantised measurement contains few enough quantisation steps, one
+quantisation step is the unit of the measurement.
 
 Each force and each next state is a sum of products of integer coefficients with integer measurements or states. Each sum is
 computed in 64 bits without overflow, divided by 2^shift, rounded to the nearest integer (ties away from 0), and clipped.

@@ -231,7 +231,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], AnyController]
 
 
 def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyController]) -> list[AnyController]:
-    """Returns the controllers of a vehicle. The exported controller is replaced by the code in the folder.
+    """Returns the controllers of a vehicle. The exported controller uses the code in the folder.
 
     Args:
         found: exported folder.

@@ -382,10 +382,10 @@ class Landscape:
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
         """Returns the weighted sum of the second derivatives of the peak gains to which the cuts belong, shape (N, N).
 
-        A peak is the maximum of Re u' T v over unit vectors u, v and nearby frequencies. This maximum is the eigenvalue of J =
-        [0 T; T' 0] with the eigenvector q = (u, v) / sqrt 2. Perturbation theory gives the second derivatives of this
-        eigenvalue with respect to x and omega. Since omega follows the maximum, omega is eliminated from the Hessian. Terms
-        with nearly equal eigenvalues are omitted, because the cuts with mixed vectors already represent them.
+        A peak is the maximum of Re u' T v over unit vectors u, v and nearby frequencies. The maximum over u and v is the
+        eigenvalue of J = [0 T; T' 0] with the eigenvector q = (u, v) / sqrt 2. Perturbation theory gives the second derivatives
+        of the eigenvalue with respect to x and omega. Since omega follows the maximum, omega is eliminated from the Hessian.
+        Terms with nearly equal eigenvalues are omitted, because the cuts with mixed vectors already represent them.
         """
         loop = self.loop(x)
         n, size, (d, r) = len(loop.A), x.size, loop.Dw.shape
@@ -524,7 +524,7 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
 
 
 def _within(M: Array, free: Array) -> Array:
-    """Returns a square matrix of balanced coordinates for only the free entries. Each step has the same length in these
+    """Returns a square matrix of balanced coordinates for only the free entries. Each step has the same length in the returned
     coordinates as in the coordinates M.
 
     Raises:

@@ -9,7 +9,7 @@
   multiple exceeds the Lagrange multipliers of the bounds, the penalised function has the same minimum as the constrained
   problem. The sum of two maxima equals the maximum of the sums of all pairs of functions, so the penalised model has the same
   form.
-- `descend_norm` applies this descent to one norm, in stages that each have their own coordinates and curvature.
+- `descend_norm` applies `descend` to one norm, in stages that each have their own coordinates and curvature.
 - `quasi_newton` is BFGS with a weak Wolfe line search; this method also works on nonsmooth functions in practice (Lewis,
   Overton 2013). BFGS is fast far from a minimum, but it stalls where the function has an edge.
 """
@@ -257,9 +257,9 @@ def descend(
         rounds: largest number of iterations.
         on_progress: callback that receives every new point and its evaluation.
         enough: value of the goal at which the descent ends.
-        settled: the descent ends, without another refinement of the model, if the predicted relative decrease of the goal is
-            below this value.
-        flat: the descent ends if the relative decrease of the goal over `OVER` rounds is below this value.
+        settled: predicted relative decrease of the goal below which the descent ends immediately, without another refinement of
+            the model.
+        flat: relative decrease of the goal over `OVER` rounds below which the descent ends.
 
     Returns:
         The final point, and its evaluation.

@@ -18,7 +18,7 @@ find a stabilising gain, because no fast and certain method is known (Blondel, G
 - The first type of descent lowers the largest real part of the poles. The largest real part can be lowered quickly, but it is
 not Lipschitz continuous, and the descent stops at gains where poles coincide.
 - The second type lowers the norm of (s - A - B K C_y + shift)^-1, which is finite while the shift exceeds the real part of
-every pole. As the norm falls, the poles move to the left, and the shift follows them.
+every pole. As the norm falls, the poles move to the left, and the shift is reduced accordingly.
 """
 
 import contextlib
@@ -201,7 +201,7 @@ def lower_poles(landscapes: Sequence[Landscape], x: Array, free: Array) -> Array
     The loops are stable at the final point if the largest real part is negative.
 
     Args:
-        landscapes: landscapes of the plants; a point represents the same gain in all of them.
+        landscapes: landscapes of the plants; a point represents the same gain in all landscapes.
         x: point from which the descent starts, shape (N,).
         free: indices of the entries of the point that may change.
     """

@@ -10,8 +10,8 @@ poles;
 
 The search is the same as for static gains (`design/static.py`), but the plant includes the law's states. The gain has the zeros
 that the structure requires (`pattern.py`). If the resulting poles are too fast for an actuator, the search is repeated with a
-smaller limit on the gain. The search stops early if the law for some order reaches the lower bound. The law then has fewer
-states than allowed.
+smaller limit on the gain. The search stops early if the law for some order reaches the lower bound. A law that reaches the
+lower bound early has fewer states than allowed.
 """
 
 import contextlib
@@ -96,14 +96,14 @@ def fixed_order_design(
         plant: generalised plant with n states, m inputs and q measurements, continuous or discrete. Only a continuous plant may
             have Dyu.
         structure: structure of the law.
-        lower_bound: lower bound on the norm of every controller from these measurements. Default: the bound is computed.
+        lower_bound: lower bound on the norm of every controller that uses the measurements. Default: the bound is computed.
         states: names of the states, used in error messages.
         stable: True if the law itself must be stable.
         as_run: function that converts a designed law to the law that is executed, as in `full_order_design`.
-        known: laws of this structure that were already found; they may have fewer states. If laws are given, the search starts
-            only from these laws.
+        known: laws of the required structure that were already found; they may have fewer states. If `known` contains laws, the
+            search starts only from these laws.
         on_found: function that is called with the best law of each order before the search for the next order.
-        work: counter of the computing work that is spent on norms. If the work exceeds the limit of this counter, the best law
+        work: counter of the computing work that is spent on norms. If the work exceeds the limit of the counter, the best law
             found so far is returned. The default limit is about 14 s of processor time for a plant with 8 states.
 
     Returns:
@@ -453,6 +453,8 @@ class _Search:
 
 
 def _sum(laws: Sequence[LinearLaw]) -> LinearLaw:
-    """Returns the law whose output is the sum of the outputs of several laws. The law contains the states of all these laws."""
+    """Returns the law whose output is the sum of the outputs of several laws. The resulting law contains the states of all
+    added laws.
+    """
     A, D = np.asarray(linalg.block_diag(*(law.A for law in laws))), np.sum([law.D for law in laws], axis=0)
     return LinearLaw(A, np.vstack([law.B for law in laws]), np.hstack([law.C for law in laws]), D, laws[0].sample_period)

@@ -4,8 +4,8 @@ descent from the best reduced law.
 - Balanced truncation (Moore 1981) of the stable part of the law. The unstable part is kept unchanged.
 - Truncation after balancing in the closed loop (Enns 1984; the loop acts as frequency weights). The Gramians describe how w
   excites the states of the law, and how these states affect z. The law itself may be unstable.
-- Both methods with singular perturbation (Liu, Anderson 1989): the omitted states are assumed to be in equilibrium instead of
-    being zero.
+- Both truncation methods with singular perturbation (Liu, Anderson 1989): the omitted states are assumed to be in equilibrium
+instead of being zero.
 
 No reduction method guarantees a stable loop, so the caller must check the loop.
 """

@@ -95,7 +95,7 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
     descent.
 
     Args:
-        search: search for laws for the plant; its internal units are used.
+        search: search for laws for the plant; the internal units of this search are used.
         start: law from which the descent starts.
         fastest: largest allowed magnitude of a pole, divided by the plant's own speed. If the poles with the starting law are
             faster, the speed of these poles is the limit.
@@ -131,7 +131,7 @@ def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[Tr
     plant.
 
     Args:
-        search: search for laws for the plant; its internal units are used.
+        search: search for laws for the plant; the internal units of this search are used.
         fastest: largest allowed magnitude of a pole, divided by the plant's own speed.
         rival: norm with another law, in the units of the plant. The search ends early if the norm with a static gain is far
             above the norm `rival`.
@@ -172,7 +172,7 @@ def full_order_design(
     """Designs a full-order controller whose norm is within 0.1 % of the lower bound and that, if possible, is itself stable and
     slow.
 
-    If no such controller is found, the result is the controller whose norm is closest to the bound.
+    If no norm is that close to the bound, the result is the controller whose norm is closest to the bound.
 
     Closed-loop poles that are more than 100 times as fast as the plant must be justified by a lower norm. Each tenfold increase
     in the speed of the poles must lower the norm by at least 0.1 %.
@@ -181,7 +181,7 @@ def full_order_design(
         plant: generalised plant with n states and m inputs.
         Cy: measurement matrix, shape (q, n). Default: the Cy of the plant.
         Dyw: direct effect of w on the measurements, shape (q, r). Default: zero if Cy is given, otherwise the Dyw of the plant.
-        lower_bound: lower bound on the norm of every controller from these measurements. Default: the bound is computed.
+        lower_bound: lower bound on the norm of every controller that uses the measurements. Default: the bound is computed.
         states: names of the states, used in error messages.
         fastest: limit on the magnitude of the closed-loop poles of a continuous plant, divided by the plant's own speed.
         stable: True if the law itself must be stable.
@@ -194,8 +194,8 @@ def full_order_design(
 
     Raises:
         InputError: a matrix does not fit the plant, no disturbance acts on the plant, or z is zero.
-        InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode that cannot
-            be stabilised.
+        InfeasibleError: no controller stabilises the plant from the measurements; the message describes the mode that cannot be
+            stabilised.
         DesignError: no law was found whose loop is slow enough, and stable despite rounding; or, if `stable` is True, no such
             law is itself stable.
 
@@ -326,8 +326,8 @@ def _slowest(law: LinearLaw) -> float:
 
 
 def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], below: LowerBound) -> str:
-    """Describes the gap between a norm and its lower bound, and how fast the poles must be for a smaller gap; empty if the gap
-    is small.
+    """Describes the gap between a norm and its lower bound, and the poles of a law with a smaller gap; empty if the gap is
+    small.
     """
     bound = below.gamma
     if bound and best.norm <= bound * (1 + WITHIN):
@@ -343,9 +343,7 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], below: LowerBou
 
 
 def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
-    """Describes the sample period that a fast pole requires, and how much a slower law raises the norm; empty if no pole is
-    fast.
-    """
+    """Describes the sample period that a fast pole requires, and the norm of a slower law; empty if no pole is fast."""
     if best.excess == 1:
         return ""
     slower = next((each for each in reversed(trade) if each.excess == 1), None)

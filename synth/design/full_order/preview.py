@@ -1,7 +1,7 @@
 """Preview LQ control: the smallest mean square of z if the disturbance is known in advance (Tomizuka 1975; Hac 1992).
 
-Here z = C x + D u, and w is white noise that is known from now until T seconds ahead. X and K are the solution and the gain of
-the LQR Riccati equation. With R = D'D and A_K = A + B K, the force is
+In the formulas, z = C x + D u, and w is white noise that is known from now until T seconds ahead. X and K are the solution and
+the gain of the LQR Riccati equation. With R = D'D and A_K = A + B K, the force is
 
     u(t) = K x(t) + integral from 0 to T of F(s) w(t + s) ds,    F(s) = -R^-1 B' exp(A_K' s) X Bw.
 

@@ -88,8 +88,8 @@ def lqg_design(
 
     Raises:
         InputError: C_y or the noise does not fit the plant, or `lqr_design` raises this type of error.
-        InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode that cannot
-            be stabilised.
+        InfeasibleError: no controller stabilises the plant from the measurements; the message describes the mode that cannot be
+            stabilised.
         DesignError: w does not excite a mode that does not decay, or `lqr_design` raises this type of error.
 
     Example:

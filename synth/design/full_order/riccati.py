@@ -19,7 +19,7 @@ checked again.
 The problem is singular if a measurement has no noise or a force has no cost. The best observer or the best gain is then
 infinitely fast, and the Riccati equations have no solution. A small noise and a small cost are therefore added. The size of the
 added noise and cost is a share of the plant's internal units, because in these units the same share suits all signals. Small
-disturbances and weights are also added to all states. The norm of this regularised problem bounds the norm of the true loop,
+disturbances and weights are also added to all states. The norm of the regularised problem bounds the norm of the true loop,
 which has fewer disturbances and outputs:
 
     norm of the true loop  <=  norm of the regularised loop  <  gamma,
@@ -267,15 +267,15 @@ SMALLEST, LARGEST = 1e-6, 1e9  # smallest and largest gamma, in units in which t
 
 @dataclass(frozen=True, eq=False)
 class TradeOffPoint:
-    """Controller on the trade-off between norm and speed.
+    """Controller at one point of the trade-off between norm and speed of the poles.
 
     Attributes:
         share: added noise and cost, as a share of the internal units; zero if the law was found by descent.
         law: control law in the units of the given plant.
         own: the same control law in the plant's internal units.
         search: search that found the law.
-        least: lower estimate of the norm, which is the largest gain at the frequencies of the poles. Computing this estimate
-            takes a tenth of the time that a norm takes, and the estimate rules out most points.
+        least: lower estimate of the norm, which is the largest gain at the frequencies of the poles. Computing the estimate
+            `least` takes a tenth of the time that a norm takes, and this estimate rules out most controllers.
         speed_up: magnitude of the loop's fastest pole, divided by the plant's speed without control.
     """
 
@@ -374,7 +374,7 @@ class RiccatiSearch:
 
     def __init__(self, plant: Plant, bound: float, quick: float = 0.0) -> None:
         """Args:
-        quick: speed up to which the norm of a loop is not increased [rad/s].
+        quick: speed of a loop up to which its cost contains no penalty [rad/s].
         """
         self.given, self.own = plant, NormalisedPlant.of(plant)
         self.bound = bound * self.own.norm
@@ -503,7 +503,7 @@ class RiccatiSearch:
         """Returns the central law of the regularised problem, in internal units.
 
         Raises:
-            InfeasibleError: the regularised problem has no law for this gamma.
+            InfeasibleError: the regularised problem has no law for the given gamma.
         """
         plant, Cy, Dyw = self.own.plant, self.own.plant.Cy, self.own.plant.Dyw
         n, (d, r) = len(plant.A), plant.Dw.shape

@@ -33,7 +33,7 @@ def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], mo
     """Returns laws that are themselves stable and that make the loop stable.
 
     Args:
-        search: search for laws for the plant; its internal units are used.
+        search: search for laws for the plant; the internal units of this search are used.
         fits: function that returns True if a law is itself stable and its loop is slow enough.
         most: largest number of entries of a law from which a descent continues.
     """

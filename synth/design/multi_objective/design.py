@@ -31,7 +31,7 @@ class MultiObjectiveDesign:
         goal: largest norm over all members of the family and all gain errors found, or largest ratio of a member's norm to its
             individual optimum.
         rejected_improvement: relative decrease of the goal that a gain up to twice as large would achieve. The decrease was
-            rejected because it was too small for such a gain. None if no decrease was rejected.
+            rejected because it was too small for the growth of the gain. None if no decrease was rejected.
         errors: gain errors of sensors and actuators that the search took into account, in addition to the case without errors.
         problem: multi-objective problem that the gain solves.
     """

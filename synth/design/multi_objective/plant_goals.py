@@ -61,7 +61,7 @@ def _strictest(values: Sequence[float], of: Callable[[Sequence[float]], float]) 
 
 
 def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Plant]) -> tuple[Goals, MultiObjectiveProblem]:
-    """Returns the goals and the multi-objective problem that they define, for plants with the same size and measurements.
+    """Returns the goals and the multi-objective problem that the goals define, for plants with the same size and measurements.
 
     Args:
         where: text with which error messages begin.

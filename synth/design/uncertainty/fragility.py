@@ -124,7 +124,7 @@ class Fragility:
 
     @cached_property
     def within(self) -> dict[float, ErrorMargin]:
-        """Margin of errors for each allowed relative increase of the norm, by this increase."""
+        """Margin of errors for each allowed relative increase of the norm; this increase is the key."""
         with numerics():
             return {share: _error_margin(self.heights, self.rays, self.norm * (1 + share)) for share in self.shares}
 
