@@ -1,7 +1,7 @@
 """Statistical linearisation: straight lines that best fit the nonlinear characteristics of a vehicle on a random road.
 
-On a random road, a signal y is nearly Gaussian, with mean m and standard deviation s. The line that fits a characteristic F of
-this signal with the least mean-square error has the mean force and the mean slope of F:
+On a random road, a signal y is nearly Gaussian, with mean m and standard deviation s. The line that fits a characteristic F(y)
+with the least mean-square error has the mean force and the mean slope of F:
 
     F(y) ~ E F + E F' (y - m),    E F' = c_0 + sum over knots of d_i Q((k_i - m) / s),
     E F = F(first knot) + c_0 (m - first knot) + sum of d_i s (phi(a_i) - a_i Q(a_i)),    a_i = (k_i - m) / s.

@@ -110,7 +110,7 @@ def _part(law: LinearLaw, forces: Array) -> LinearLaw:
 
 
 def _powers(A: Array, start: float, step: float, count: int) -> Array:
-    """Returns exp(A t) at t = start + step, start + 2 step and so on, shape (count, n, n)."""
+    """Returns the transition matrices exp(A t) at t = start + step, start + 2 step and so on, shape (count, n, n)."""
     by, now = linalg.expm(A * step), linalg.expm(A * start)
     made = np.empty((count, *A.shape))
     with np.errstate(over="ignore", invalid="ignore"):  # an unstable law may overflow if the sample period is long

@@ -5,12 +5,12 @@ w) is 1 at some frequency w. The margins are not read from a frequency grid. Let
 (+) Y = kron(X, I) + kron(I, Y), the margins are computed as follows:
 
 - Gain: a gain factor k moves a pole of A + k M to the imaginary axis only if the sum of two poles is zero. The sum of two poles
-    is zero only if (A + k M) (+) (A + k M) is singular, which is a linear eigenvalue problem in k.
+  is zero only if (A + k M) (+) (A + k M) is singular, which is a linear eigenvalue problem in k.
 - Phase lag: a phase lag theta, with the factor z = exp(-j theta), moves a pole to the axis only if
   (A + z M) (+) (A + conj(z) M) is singular. Since conj(z) = 1 / z, the condition is a quadratic eigenvalue problem in z. The
   solutions z on the unit circle give all crossovers (Chen, Gu, Nett 1995).
 - Delay: a delay of theta / w causes the phase lag theta at the frequency w. The delay margin is the smallest of the delays at
-    all crossovers.
+  all crossovers.
 - Phase lead: a phase lead is 2 pi minus the phase lag. The crossover with the largest lag therefore has the smallest lead.
 - Sample period: a period T is a limit if exp(A T) + (integral of exp(A s) ds B) C has an eigenvalue on the unit circle; see
   `sample_period_margin.py`.

@@ -7,13 +7,13 @@ samples. `by_levels` searches for the lowest level. A method designs a law at on
 with the designed law (`synth/analysis/sampled_norm.py`) becomes the next level.
 
 - Full order: Riccati equations. The first level, found by bisection, is the lowest level at which the Riccati equations have a
-    solution.
+  solution.
 - A given order or structure: descent. The first level is near the lower bound. At each later level, descent starts from the
   law found at the previous level.
 - A static gain: the paper's two steps, followed by descent. Each step searches for the level at which the optimal norm of the
-    discrete plant is 1, by the secant method in logarithms. The X of the state feedback (22) at the level of the first step
-    gives L (14). The second step (25) has its own level. Every optimum is the limit of a central path. The gain is therefore
-    unique, and depends neither on a solver nor on units.
+  discrete plant is 1, by the secant method in logarithms. The X of the state feedback (22) at the level of the first step gives
+  L (14). The second step (25) has its own level. Every optimum is the limit of a central path. The gain is therefore unique,
+  and depends neither on a solver nor on units.
 
 The delayed forces are states that no measurement contains. The matrix L determines how the delayed forces are estimated. If L
 is based on the optimal state feedback, the second step may have no solution. A solution may still exist if L is based on
@@ -559,8 +559,8 @@ def two_steps(held: SampledDataProblem, near: float, undelayed: Array | None) ->
 
 
 def _follows(X: Array, rows: Array) -> Array:
-    """Returns the matrix R of (9) for the L (14) that belongs to a given X, shape (n, q). R y is an estimate of the states from
-    the measurements.
+    """Returns the matrix R of (9) for the L (14) that belongs to a given X, shape (n, q). The product R y is an estimate of the
+    states from the measurements y.
     """
     return X @ rows.T @ np.linalg.inv(rows @ X @ rows.T)
 

@@ -3,9 +3,9 @@
 A gain K is represented by a point x of N numbers with K_ij = x_ij scale_ij. The scales give every entry of K a similar effect.
 N is m q, or the number of free entries if a structure fixes the other entries to zero. The H-infinity norm is a continuous
 function of the gain. The norm has an edge wherever two frequencies or two singular values share the maximum, and minima lie on
-edges. For all unit vectors u and v, the largest singular value of T(j omega) is at least Re u' T(j omega) v, with equality for
-the singular vectors. Each choice of omega, u and v therefore gives a smooth function that bounds the norm from below. The
-smooth function for one choice of omega, u and v is called a cut (Apkarian, Noll 2006).
+edges. For all unit vectors u and v, the largest singular value of the transfer matrix T(j omega) is at least Re u' T(j omega)
+v. Equality holds for the singular vectors. Each choice of omega, u and v therefore gives a smooth function that bounds the norm
+from below. The smooth function for one choice of omega, u and v is called a cut (Apkarian, Noll 2006).
 
 A discrete plant is represented by the continuous plant into which the bilinear transform maps it, with the same gains but other
 frequencies. The measurements of the continuous plant contain the force, as an accelerometer signal does. The equivalent gain
@@ -228,7 +228,7 @@ class Landscape:
         return np.full_like(K, np.nan)
 
     def after(self, x: Array) -> Array:
-        """Returns (I - K Dyu)^-1 for a point, shape (m, m); NaN if the inverse does not exist."""
+        """Returns the matrix (I - K Dyu)^-1 for a point, shape (m, m); NaN if the inverse does not exist."""
         eye = np.eye(self.shape[0])
         if not self.through:
             return eye

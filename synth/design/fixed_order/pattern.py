@@ -1,6 +1,6 @@
 """Conversion of a law with a given structure to a static gain of a larger plant, and back.
 
-A law with k states is u = D y + C x_c, v = B y + A x_c for the plant to which k integrators x_c' = v are added
+A law with k states x_c is u = D y + C x_c, v = B y + A x_c for the plant to which k integrators x_c' = v are added
 (`plant/augmented.py`). For the plant with integrators, the law is the static gain [D, C; B, A]. If each force has its own law,
 the gain is block diagonal after its rows and columns are sorted. PI and PID laws are static gains on the outputs of fixed
 filters, which are y, its integral, and its filtered derivative. Every structure is thus represented by a gain in which some

@@ -68,12 +68,12 @@ class RoadLoop:
     name: str = "a peak"
 
     def loop(self, K: Array) -> tuple[Array, Array]:
-        """Returns A + B G and C + D G with G = (I - K Dyu)^-1 K C_y, shapes (n, n) and (n,)."""
+        """Returns the closed-loop matrices A + B G and C + D G with G = (I - K Dyu)^-1 K C_y, shapes (n, n) and (n,)."""
         G, plant = self.after(K) @ K @ self.plant.Cy, self.plant
         return plant.A + plant.B @ G, plant.C[0] + plant.D[0] @ G
 
     def after(self, K: Array) -> Array:
-        """Returns (I - K Dyu)^-1, shape (m, m); NaN if this inverse does not exist."""
+        """Returns the matrix (I - K Dyu)^-1, shape (m, m); NaN if the inverse does not exist."""
         try:
             return np.linalg.inv(np.eye(len(K)) - K @ self.plant.Dyu)
         except np.linalg.LinAlgError:
@@ -291,7 +291,7 @@ def step_for(rate: float, share: float, end: float) -> float:
 
 
 def homogeneous_response(A: Array, x: Array, h: float, count: int) -> Array:
-    """Returns exp(A k h) x for k = 0, 1, ..., computed by repeated doubling, shape (count, n)."""
+    """Returns the states exp(A k h) x at the times k h for k = 0, 1, ..., computed by repeated doubling, shape (count, n)."""
     responses, power = x[None], linalg.expm(A * h)
     while len(responses) < count:
         responses = np.concatenate([responses, responses @ power.T])

@@ -95,7 +95,7 @@ def structured_bound(structured: StructuredLoop) -> StructuredBound:
 
 
 def best_scales(M: Array, errors: int, start: Array | None = None, enough: float = 0.0) -> tuple[float, Array]:
-    """Returns the smallest |D M D^-1| over all scales D, and the logarithms of the best scales, shape (k,).
+    """Returns the smallest norm |D M D^-1| over all scales D, and the logarithms of the best scales, shape (k,).
 
     Args:
         M: matrix, complex, shape (d + k, r + k).

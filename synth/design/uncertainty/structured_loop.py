@@ -48,11 +48,15 @@ class StructuredLoop:
         return len(self.loop.C) > self.errors
 
     def at(self, omega: Array) -> Array:
-        """Returns M(j omega), complex, shape (F, d + k, r + k), at finite frequencies [rad/s], shape (F,)."""
+        """Returns the complex frequency response M(j omega) of the loop, shape (F, d + k, r + k), at finite frequencies
+        [rad/s], shape (F,).
+        """
         return self.loop.frequency_response(omega)
 
     def scaled(self, scales: Array) -> Plant:
-        """Returns D M D^-1 for positive scales of shape (k,). D multiplies each q, and D^-1 multiplies each p."""
+        """Returns the scaled loop D M D^-1 for positive scales of shape (k,). The scales D multiply each q, and their inverses
+        multiply each p.
+        """
         M, k = self.loop, self.errors
         C, Dw, Bw = M.C.copy(), M.Dw.copy(), M.Bw.copy()
         C[-k:] *= scales[:, None]
