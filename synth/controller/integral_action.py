@@ -81,8 +81,8 @@ def on_integrals(law: LinearLaw, integrated: Array | None, kept: Mapping[int, tu
 
 
 def settled_integrals(loop: Plant, plant: Plant, lacking: Sequence[int]) -> Array | None:
-    """Returns integrals as linear combinations of the other states of a loop; the coefficients have the shape (len(lacking), n
-    - len(lacking)).
+    """Returns the coefficients of integrals as combinations of the other states of a loop, shape (len(lacking), n -
+    len(lacking)).
 
     The result is None if one of these integrals does not return to zero. An integral does not return to zero if the rest of the
     loop does not decay, or if w acts on the integrated signal at 0 rad/s.

@@ -1,7 +1,7 @@
 """Warnings about a control law: instability of the law itself, windup, direct feedback, and small margins of its ideal loop.
 
 - A law is *unstable by itself* if its own states grow without measurements. A law that is unstable by itself has a pole to the
-right of the imaginary axis, or outside the unit circle.
+  right of the imaginary axis, or outside the unit circle.
 - A law *winds up* if it is unstable by itself and has no anti-windup, and the vehicle file clips its forces (`actuator_force`
   or semi-active dampers). The states of a law that winds up grow, but the effect of the clipped forces on the measurements is
   bounded. Later measurements can therefore not bring the states back to zero. An integrator, which has a pole at 0, does not

@@ -7,7 +7,7 @@ In each sample period, the computation has these steps:
 2. Measurements are quantised.
 3. The forces of a linear law are summed over the measurements, then over the states, in the order of the matrix columns.
 4. The forces are limited, and then their changes per sample are limited. For semi-active dampers, the forces are converted to
-damping coefficients instead of being limited.
+   damping coefficients instead of being limited.
 5. The next states are computed as sums, which are also added in the order of the matrix columns.
 6. The outputs that were computed `delay` samples earlier are returned.
 
@@ -263,7 +263,7 @@ def _ranges(
 
 @dataclass
 class PythonStep:
-    """Exported computation in Python, whose results equal those of the C code bit for bit.
+    """Exported computation in Python, whose results equal the results of the C code bit for bit.
 
     Attributes:
         law: exported law.

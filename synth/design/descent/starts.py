@@ -16,9 +16,9 @@ Two types of descent search for a stabilising gain, from several starting points
 find a stabilising gain, because no fast and certain method is known (Blondel, Gevers, Lindquist 1995).
 
 - The first type of descent lowers the largest real part of the poles. The largest real part can be lowered quickly, but it is
-not Lipschitz continuous, and the descent stops at gains where poles coincide.
+  not Lipschitz continuous, and the descent stops at gains where poles coincide.
 - The second type lowers the norm of (s - A - B K C_y + shift)^-1, which is finite while the shift exceeds the real part of
-every pole. As the norm falls, the poles move to the left, and the shift is reduced accordingly.
+  every pole. As the norm falls, the poles move to the left, and the shift is reduced accordingly.
 """
 
 import contextlib

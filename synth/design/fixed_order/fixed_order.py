@@ -4,7 +4,7 @@ A law with k states is a special case of a law with k + 1 states, so the search 
 a static gain. For each order, the starting points of the search are
 
 - full-order laws, reduced to the order of the search (`reduction.py`): laws with nearly the smallest norm, and laws with slower
-poles;
+  poles;
 - the law with one state less, extended by a state that receives the measurements but has no effect yet;
 - random laws of every magnitude, if no other starting point is stable.
 

@@ -5,7 +5,7 @@ descent from the best reduced law.
 - Truncation after balancing in the closed loop (Enns 1984; the loop acts as frequency weights). The Gramians describe how w
   excites the states of the law, and how these states affect z. The law itself may be unstable.
 - Both truncation methods with singular perturbation (Liu, Anderson 1989): the omitted states are assumed to be in equilibrium
-instead of being zero.
+  instead of being zero.
 
 No reduction method guarantees a stable loop, so the caller must check the loop.
 """
