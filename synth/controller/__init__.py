@@ -1,1 +1,3 @@
-"""Controllers of vehicles: the vehicle as a plant, control laws with certificates, and the sampled-data implementation."""
+"""Controllers of vehicles: the vehicle model as a plant, control laws with certificates, and the sampled-data implementation of
+a law.
+"""

@@ -45,11 +45,11 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
         steps: result of the two-step method that produced the gain; None for other controllers.
         redundant: names of measured signals that are linear combinations of other measured signals; their gains are zero.
         certificate: certificate of the closed loop.
-        degeneracy: text that explains why problem (22) has no optimum, or why every gain is optimal; else empty.
-        fallback_method: name of the fallback method that was used, and the reason why the two-step method found no gain, as
-            text; else empty.
-        remarks: additional notes. If the two steps did not design the law, these notes give the law's gap to the optimum, or
-            its objective.
+        degeneracy: text that explains why problem (22) of the paper has no optimum, or why every gain is optimal; else empty.
+        fallback_method: text with the name of the fallback method, and the reason why the two-step method found no gain; empty
+            if no fallback was used.
+        remarks: additional notes. If the two-step method did not design the law, the notes give the gap between its norm and
+            the optimum, or its objective.
         false_claims: descriptions of the claims that the vehicle file makes about the controller and that do not hold.
         hardware: sensor noise, actuator lag and loads that the certificate takes into account.
         sampled: True if the controller was designed for the sampled-data loop. The certificate still describes the ideal loop.
@@ -80,12 +80,14 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @classmethod
     def of(cls, entry: ControllerEntry, law: LinearLaw, certificate: Certificate, **more: Any) -> "Controller":
-        """Returns the designed controller for a section of a vehicle file; `more` contains additional attributes."""
+        """Returns the designed controller for a section of a vehicle file; `more` contains additional attributes of the
+        controller.
+        """
         return cls(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, **more)
 
     @property
     def kind(self) -> str:
-        """Type of the law in words, with an article."""
+        """Type of the law as text, with an article."""
         return "a linear law"
 
     @property
@@ -99,7 +101,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def figures(self) -> "tuple[Figure, ...]":
-        """Figure of the gain of the closed loop over frequency."""
+        """Plot of the closed-loop gain against frequency."""
         return self.certificate.figures
 
     @property
@@ -150,14 +152,16 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def feedback(self) -> "Controller":
-        """The same controller without the force from the road ahead; its poles and stability margins do not change."""
+        """The same controller without the force that is computed from the road ahead; the poles and stability margins do not
+        change.
+        """
         return self if self.preview is None else replace(self, preview=None)
 
     @property
     def without_noise(self) -> "Controller":
         """The same controller without sensor noise in `hardware`.
 
-        The norms of its implementation then describe only the effect of the road.
+        The norms of the sampled-data loop then describe only the effect of the road.
         """
         return replace(self, hardware=replace(self.hardware, noise=()))
 
@@ -178,7 +182,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Descriptions of the claims and specifications that do not hold."""
+        """Descriptions of the claims and specifications of the controller that do not hold."""
         return (*self.certificate.failures, *self.unmet_specifications)
 
     @check_arguments
@@ -192,7 +196,8 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
             Plant, weights, measurements and hardware, as a `Problem`.
 
         Raises:
-            InputError: the vehicle does not have these signals or this number of forces.
+            InputError: the vehicle does not have the measured signals, or its number of forces differs from the number in the
+                law.
         """
         check_fits(vehicle, self)
         return problem(vehicle, self.measured, self.hardware)
@@ -216,7 +221,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
             vehicle: vehicle with the measured signals of the controller.
 
         Raises:
-            ValueError: the law has states. `loop` accepts any law.
+            ValueError: the law has states. The method `loop` also accepts laws with states.
         """
         if self.law.states:
             raise ValueError(f"controller {self.name!r} has states and therefore no state gain; use loop(vehicle)")
@@ -232,17 +237,18 @@ else:
 
 
 def is_linear(controller: AnyController, vehicle: Vehicle) -> TypeGuard[Controller]:
-    """Returns True if a run is linear until a limit is reached, because the law is linear and does not act on semi-active
-    dampers.
+    """Returns True if a simulation with the controller is linear until a limit is reached, because the law is linear and does
+    not act on semi-active dampers.
     """
     return controller.linear is True and not (vehicle.dampers and controller.acts)
 
 
 def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
-    """Checks that controllers fit a vehicle: the vehicle has their measured signals and their number of forces.
+    """Checks that controllers fit a vehicle: the vehicle must have the signals that the controllers measure, and as many forces
+    as the controllers compute.
 
     Raises:
-        InputError: a law does not fit the vehicle. The message contains the name of the controller.
+        InputError: a law does not fit the vehicle. The error message contains the name of the controller.
     """
     outputs, forces = vehicle.linear_model.outputs, len(vehicle.linear_model.inputs)
     for one in controllers:
@@ -258,7 +264,7 @@ def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
 
 
 def check_feedback_alone(controller: Controller, what: str) -> None:
-    """Checks that a controller has no preview, because only its feedback can be represented.
+    """Checks that a controller has no preview, because only the feedback of the controller can be represented.
 
     Args:
         controller: controller to check.
@@ -323,13 +329,14 @@ def _law(entry: ControllerEntry) -> LinearLaw:
 
 
 def on_readings(law: LinearLaw, problem: Problem) -> LinearLaw:
-    """Converts a law designed for C_y x to a law for the sensor signals, in which accelerations contain the control force.
+    """Converts a law designed for C_y x to a law for the sensor signals, because measured accelerations also contain the effect
+    of the control force.
 
-    If the force is measured, it is subtracted from the measurements. If the force is not measured, the law is changed so that
-    the closed loop remains the same. Integrals of measurements become states of the law.
+    If the force is measured, its effect is subtracted from the measurements. If the force is not measured, the law is changed
+    so that the closed loop remains the same. Integrals of measurements become states of the law.
 
     Args:
-        law: law from the measured signals that depend on the state.
+        law: law whose inputs are only those measured signals that depend on the state.
         problem: control problem for which the law was designed, with all q measured signals.
 
     Raises:

@@ -1,8 +1,8 @@
 """Symmetric disk margin of a loop that is cut at its actuators (see `Loop.cut`).
 
-The margin is 1 / ||S - I / 2|| with S = (I - L)^-1, where L is the loop transfer function. Each force may have its own complex
-factor f. The loop is stable as long as |f - 1| / |f + 1| is below half the margin for every factor (Seiler, Packard, Gahinet
-2020).
+The margin is 1 / ||S - I / 2|| with S = (I - L)^-1, where L is the loop transfer function. Each force may be multiplied by its
+own complex factor f. The loop is stable as long as |f - 1| / |f + 1| is below half the margin for every factor (Seiler,
+Packard, Gahinet 2020).
 """
 
 import math
@@ -20,8 +20,8 @@ class DiskMargin:
     """Symmetric disk margin: how far all forces may change at the same time, each by its own complex factor.
 
     Attributes:
-        size: margin from 0 to 2. The margin is exact for one force. For several forces with independent factors, it is a lower
-            bound.
+        size: margin from 0 to 2. For a single force, the margin is exact. For several forces with independent factors, the
+            computed margin is a lower bound.
         frequency: frequency at which the loop is closest to instability [rad/s].
     """
 
@@ -30,12 +30,12 @@ class DiskMargin:
 
     @property
     def gain(self) -> tuple[float, float]:
-        """Smallest and largest real factor for which the loop is stable."""
+        """Smallest and largest real factor by which the forces can be multiplied while the loop remains stable."""
         return (2 - self.size) / (2 + self.size), (2 + self.size) / (2 - self.size) if self.size < 2 else math.inf
 
     @property
     def phase(self) -> float:
-        """Largest phase lead or lag for which the loop is stable [rad]."""
+        """Largest phase lead or lag of the forces for which the loop is stable [rad]."""
         return 2 * math.atan(self.size / 2)
 
 

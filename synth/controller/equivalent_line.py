@@ -1,16 +1,16 @@
-"""Statistical linearisation: straight lines that best fit the nonlinear characteristics of a vehicle over a random road.
+"""Statistical linearisation: straight lines that best fit the nonlinear characteristics of a vehicle on a random road.
 
-Over a random road, a signal y is nearly Gaussian, with mean m and standard deviation s. The line that fits a characteristic F
+On a random road, a signal y is nearly Gaussian, with mean m and standard deviation s. The line that fits a characteristic F(y)
 with the least mean-square error has the mean force and the mean slope of F:
 
     F(y) ~ E F + E F' (y - m),    E F' = c_0 + sum over knots of d_i Q((k_i - m) / s),
     E F = F(first knot) + c_0 (m - first knot) + sum of d_i s (phi(a_i) - a_i Q(a_i)),    a_i = (k_i - m) / s.
 
-The slope changes by d_i at the knot k_i. phi is the normal density, and Q its upper tail probability. The formulas are exact
-for piecewise linear characteristics (T. K. Caughey (1963), J. Acoust. Soc. Am. 35, 1706-1711; J. B. Roberts and P. D. Spanos,
-Random Vibration and Statistical Linearization, 1990, chapter 5).
+The slope of F changes by d_i at the knot k_i. phi is the normal density, and Q its upper tail probability. The formulas are
+exact for piecewise linear characteristics (T. K. Caughey (1963), J. Acoust. Soc. Am. 35, 1706-1711; J. B. Roberts and P. D.
+Spanos, Random Vibration and Statistical Linearization, 1990, chapter 5).
 
-The linear vehicle with these slopes has a different mean m and standard deviation s. The computation is therefore repeated
+With these slopes, the linear vehicle has a different mean m and standard deviation s. The computation is therefore repeated
 until slopes, m and s are consistent. An asymmetric damper produces a mean force, which the springs must balance, so the mean
 body height changes (the damper jacks the body down).
 
@@ -42,10 +42,11 @@ class EquivalentLine:
 
     Attributes:
         vehicle: linear vehicle that replaces the nonlinear vehicle.
-        curves: the e characteristics. A position-dependent damper is represented by its mean over all deflections.
+        curves: the e characteristics. A position-dependent damper is represented by the mean of its characteristic over all
+            deflections.
         signals: names of the signals on which the characteristics depend.
         deflections: names of the deflections along which the forces of the characteristics act.
-        slopes: slopes of the lines at the wheel, shape (e,).
+        slopes: slope of the line for each characteristic, with force and motion taken at the wheel, shape (e,).
         mean: mean of every output signal, by name [unit of the signal].
         rounds: number of iterations until the slopes were consistent with the motion of the linear vehicle.
     """
@@ -62,13 +63,14 @@ class EquivalentLine:
 def equivalent_line(
     vehicle: Vehicle, controller: Controller, deviations: Callable[[Vehicle, Sequence[str]], Array | None]
 ) -> EquivalentLine | None:
-    """Returns the linear vehicle that replaces a nonlinear vehicle; None if the iteration finds no consistent and stable loop.
+    """Returns the linear vehicle that replaces a nonlinear vehicle; None if the iteration finds no consistent slopes with which
+    the loop is stable.
 
     Args:
         vehicle: vehicle with nonlinear characteristics.
         controller: linear controller.
         deviations: function that takes a linear vehicle and the names of k signals. The function returns the standard
-            deviations of these signals over the road, shape (k,), or None if the loop is unstable.
+            deviations of the k signals on the road, shape (k,), or None if the loop is unstable.
     """
     if without_curve(vehicle):
         return None

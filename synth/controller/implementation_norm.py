@@ -1,10 +1,10 @@
 """L2 gain of a vehicle's sampled-data loop, from the continuous road velocity to the continuous output z.
 
-This gain corresponds to the norm (18) of the continuous loop, but it takes into account `[implementation]` and the actuator lag
-in `[limits]`. The force is held and delayed, while road and vehicle move continuously. Nonlinear parts (limits of force and
-stroke, quantisation) are not included. Measurement noise is included if the controller's section specifies it. With actuator
-lag, z contains the acting force. An integral in z is not included, because a computer adds up samples instead of integrating,
-and only this sum returns to zero.
+This L2 gain corresponds to the norm (18) of the continuous loop, but also takes into account `[implementation]` and the
+actuator lag in `[limits]`. The force is delayed and held constant during each sample period, while road and vehicle move
+continuously. Nonlinear parts (limits of force and stroke, quantisation) are not included. Measurement noise is included if the
+controller's section specifies it. With actuator lag, z contains the lagged force that acts on the vehicle. An integral in z is
+not included, because a computer adds up samples instead of integrating, and only the sum of samples returns to zero.
 """
 
 import math
@@ -49,10 +49,10 @@ def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
 def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledLoop:
     """Returns the sampled-data loop of a vehicle and a controller, with weights and actuator lag.
 
-    With tyre damping, a measurement may contain the road velocity. In this case, the mean velocity over the last period is
-    used. A limit on the energy of the road velocity does not limit this velocity at a single instant. This agrees with MuJoCo,
-    where the road moves in steps. The road height in a measurement is the integral of the road velocity. For the arguments, see
-    `norm_as_implemented`.
+    With tyre damping, a measurement may contain the road velocity. In this case, the mean road velocity over the last sample
+    period is used instead. If only the energy of the road velocity is limited, the velocity at a single instant is not limited.
+    The mean velocity agrees with MuJoCo, where the road moves in steps. The road height in a measurement is the integral of the
+    road velocity. For the arguments, see `norm_as_implemented`.
     """
     period, model = vehicle.implementation.sample_period or timestep, vehicle.linear_model
     problem = _sampled_problem(vehicle, controller.measured, period, controller.hardware.noise)
@@ -84,7 +84,9 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
 
 
 def _sampled_problem(vehicle: Vehicle, measured: Sequence[str], period: float, noise: Sequence[float]) -> SampledDataProblem:
-    """Returns the sampled-data problem for measured signals, with the rms noise of each measurement if noise is given."""
+    """Returns the sampled-data problem for measured signals; if noise is given, the problem contains the rms noise of each
+    measurement.
+    """
     Cy, through = measurements(vehicle.without_integrals, measured, vehicle.limits.actuator_bandwidth)
     rms = np.array(noise) if any(noise) else None
     plant = replace(plant_as_built(vehicle), Cy=Cy, Dyu=through)
@@ -114,7 +116,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
 def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, ...]:
     """Checks the claimed lower bound of the sampled-data loop.
 
-    Returns a description of the claim if the claim is false, otherwise an empty tuple.
+    Returns a text that describes the claim if the claim is false, otherwise an empty tuple.
 
     The discrete plant that belongs to the claimed bound is computed again, and the dual solution is checked for this plant.
 
@@ -132,9 +134,9 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
 
 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
-    """Returns the limit of the norm of the sampled-data loop for fast sampling.
+    """Returns the limit that the norm of the sampled-data loop approaches as the sample period goes to zero.
 
-    This value is the norm of the continuous loop with actuator lag. The road is the only disturbance.
+    The limit is the norm of the continuous loop with actuator lag. The road is the only disturbance of the continuous loop.
     """
     if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None and not vehicle.integrals:
         return controller.certificate.norm.value
@@ -151,6 +153,6 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
 def plant_as_built(vehicle: Vehicle) -> Plant:
     """Returns the plant (15), with actuator lag if the vehicle file specifies a lag.
 
-    The output z then contains the forces after the lag.
+    With lag, the output z contains the forces after the lag.
     """
     return generalized_plant(vehicle.without_integrals, vehicle.limits.actuator_bandwidth, acting=True)

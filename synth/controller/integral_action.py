@@ -1,14 +1,16 @@
-"""Integral action: converts a law whose states include integrals of its measurements to a law on these integrals, and back.
+"""Integral action: converts a law whose states include integrals of its measurements to a law that measures these integrals,
+and back.
 
-If z contains a weighted integral, the integral must return to zero; otherwise z has no finite norm. A law designed for such a z
-therefore feeds the integral back. The first states of the law are integrals of its measurements, x_c' = S y. The same integrals
-are also states of the plant. If a loop contained both copies, their difference would never decay. The loop therefore contains
-each integral only once: the law is treated as a law on [y; integrals].
+If z contains a weighted integral, the integral must return to zero; otherwise z has no finite norm. A law designed for a z with
+a weighted integral therefore feeds this integral back. The first states of the law are integrals of its measurements, x_c' = S
+y. The integrals that are states of the law are also states of the plant. If a loop contained both copies of an integral, the
+difference of the copies would never decay. The loop therefore contains each integral only once: the law is treated as a law on
+[y; integrals].
 
-A loop whose law lacks these integrals may still have a finite norm, if the integrated signal is zero at 0 rad/s for every road.
-Let the loop be x' = A x + B w, and let c x + d w be the integrated signal. If c A^-1 B = d, the integral is c A^-1 x, because
-the derivative of c A^-1 x is c x + c A^-1 B w. This condition means that the transfer function from w to the integrated signal,
-which is d - c A^-1 B at 0 rad/s, is zero there.
+Even if the law contains no integrals, its loop can have a finite norm, if the integrated signal is zero at 0 rad/s for every
+road. Let the loop be x' = A x + B w, and let c x + d w be the integrated signal. If c A^-1 B = d, the integral is c A^-1 x,
+because the derivative of c A^-1 x is c x + c A^-1 B w. The condition c A^-1 B = d means that the transfer function from w to
+the integrated signal, d - c A^-1 B at 0 rad/s, is zero there.
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,15 +40,15 @@ def with_integrators(law: LinearLaw, integrated: Array) -> LinearLaw:
 
 
 def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[int, float]]:
-    """Returns the integrals that are states of a continuous law.
+    """Finds the states of a continuous law that are integrals of its measurements.
 
     Args:
         law: law on the measurements.
         integrated: matrix S, shape (j, q); None if there are no integrals.
 
     Returns:
-        For each row of S whose integral the law contains: the index of the law's state that holds it, and the ratio of state to
-            integral.
+        For each row of S whose integral the law contains: the index of the state that is this integral, and the ratio of state
+            to integral.
     """
     states: dict[int, tuple[int, float]] = {}
     for row, factors in enumerate(() if integrated is None else integrated):
@@ -60,12 +62,12 @@ def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[
 
 
 def on_integrals(law: LinearLaw, integrated: Array | None, kept: Mapping[int, tuple[int, float]]) -> LinearLaw:
-    """Converts a law on the measurements y to a law on [y; integrals of S y]. States that are such integrals are removed.
+    """Converts a law on the measurements y to a law on [y; integrals of S y]. States that are integrals of S y are removed.
 
     Args:
         law: law on the measurements.
         integrated: matrix S, shape (j, q); None if there are no integrals.
-        kept: result of `integrators_of`. The gain on integrals that the law does not contain is zero.
+        kept: result of `integrators_of`. If the law does not contain an integral, the gain on this integral is zero.
     """
     if integrated is None:
         return law
@@ -79,15 +81,16 @@ def on_integrals(law: LinearLaw, integrated: Array | None, kept: Mapping[int, tu
 
 
 def settled_integrals(loop: Plant, plant: Plant, lacking: Sequence[int]) -> Array | None:
-    """Returns integrals as linear combinations of the other states of a loop, shape (len(lacking), n - len(lacking)).
+    """Returns the coefficients of integrals as combinations of the other states of a loop, shape (len(lacking), n -
+    len(lacking)).
 
-    The result is None if such an integral does not return to zero. This is the case if the rest of the loop does not decay, or
-    if w acts on the integrated signal at 0 rad/s.
+    The result is None if one of these integrals does not return to zero. An integral does not return to zero if the rest of the
+    loop does not decay, or if w acts on the integrated signal at 0 rad/s.
 
     Args:
         loop: closed loop with n states, in which the integrals affect only z.
         plant: plant without the states of the law; its states are the first states of the loop.
-        lacking: indices of the states that are integrals which the law does not contain.
+        lacking: indices of the loop's states that are integrals, but that the law does not contain.
     """
     stay = np.setdiff1d(np.arange(len(loop.A)), lacking)
     A, c, d = loop.A[stay][:, stay], loop.A[lacking][:, stay], loop.Bw[lacking]

@@ -1,15 +1,15 @@
 """Warnings about a control law: instability of the law itself, windup, direct feedback, and small margins of its ideal loop.
 
-- A law is *unstable by itself* if its own states grow without measurements. Such a law has a pole to the right of the imaginary
-  axis, or outside the unit circle.
+- A law is *unstable by itself* if its own states grow without measurements. A law that is unstable by itself has a pole to the
+  right of the imaginary axis, or outside the unit circle.
 - A law *winds up* if it is unstable by itself and has no anti-windup, and the vehicle file clips its forces (`actuator_force`
-  or semi-active dampers). The states of the law grow, but the effect of its clipped forces on the measurements is bounded.
-  Later measurements can therefore not bring the states back. An integrator, which has a pole at 0, does not count as unstable,
-  because its state grows no faster than the sum of its inputs.
+  or semi-active dampers). The states of a law that winds up grow, but the effect of the clipped forces on the measurements is
+  bounded. Later measurements can therefore not bring the states back to zero. An integrator, which has a pole at 0, does not
+  count as unstable, because its state grows no faster than the sum of its inputs.
 - *Direct feedback* means that measurements contain the force of the law without delay, as accelerations do. Let H be the gain
-  from the force through these measurements back to the force. In the ideal loop, the force u satisfies u = H u + v, where v is
-  the part of the force without this feedback. With sampling or any delay, each computed force contains H times the previous
-  force. The force grows if the spectral radius of H is 1 or more.
+  from the force, through the measurements that contain the force, back to the force. In the ideal loop, the force u satisfies u
+  = H u + v, where v is the part of the force without direct feedback. With sampling or any delay, each computed force contains
+  H times the previous force. The force grows if the spectral radius of H is 1 or more.
 - The *margins* describe the ideal loop, cut at all actuators at once. The ideal loop is continuous, without `[limits]` and
   `[implementation]`; it contains actuator lag only if the design includes it. The gain margin is the factor closest to 1 that
   makes the loop unstable when it multiplies all forces. If H has a positive eigenvalue h, the gain margin is at most 1 / h. A
@@ -45,15 +45,15 @@ EXACT = 1e-9  # relative accuracy of the distance from 1 to the force factor at 
 
 @dataclass(frozen=True)
 class LawMargins:
-    """Stability of a law itself, and stability margins of its ideal loop if they are small.
+    """Stability of a law itself, and the stability margins of its ideal loop if they are small.
 
     Attributes:
         growth: growth rate of the fastest growing state of the law itself [1/s]; 0 if no state grows.
         winds_up: if the law winds up, description of the limit that clips the forces; else empty.
         gain: factor between 1 and `LEAST_GAIN` at which the loop becomes unstable; infinite if no such factor exists.
         gain_lower: factor between 1 / `LEAST_GAIN` and 1 at which the loop becomes unstable; 0 if no such factor exists.
-        disk: symmetric disk margin from 0 to 2. None if the ideal loop is unstable, if no measurement causes a force, or if the
-            law is a passive element with inertance.
+        disk: symmetric disk margin from 0 to 2. None if the ideal loop is unstable, if the force depends on no measurement, or
+            if the law is a passive element with inertance.
         direct_feedback: spectral radius of H, taking actuator lag into account; 0 if no measurement contains the force without
             delay.
     """
@@ -100,7 +100,7 @@ class LawMargins:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Margins as a JSON object; gain margins that are not small, and margins that do not exist, are None."""
+        """Margins as a JSON object, with None for gain margins that are not small and for margins that do not exist."""
         return {
             "winds_up": bool(self.winds_up),
             "gain_margin": self.gain if math.isfinite(self.gain) else None,
@@ -113,7 +113,7 @@ class LawMargins:
 def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
     """Returns the stability of a law itself, whether the law winds up, and the small margins of its ideal loop.
 
-    Margins do not apply to a nonlinear law; its result contains no small margin.
+    Margins do not apply to a nonlinear law, so the result for a nonlinear law contains no small margin.
     """
     if controller.linear is False:
         return LawMargins(0.0, "", math.inf, 0.0, None)
@@ -141,7 +141,9 @@ def law_fault(vehicle: Vehicle, controller: AnyController) -> str:
 
 
 def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
-    """Returns a warning about laws that are unstable by themselves, and a warning about small margins of other laws."""
+    """Returns a warning about laws that are unstable by themselves, and a warning about small margins of laws that are stable
+    by themselves.
+    """
     grow = {name: one for name, one in margins.items() if one.growth}
     clipped = {f", winding up {one.winds_up}": None for one in grow.values() if one.winds_up}
     rates = ", ".join(f"{as_name(name)} (+{rough(one.growth)} 1/s)" for name, one in grow.items())
@@ -168,7 +170,7 @@ def direct_feedback(margins: Mapping[str, LawMargins]) -> list[str]:
 
 
 def _clipped_forces(vehicle: Vehicle) -> str:
-    """Describes the limit that clips the forces. The result is empty if the forces are not clipped."""
+    """Describes the limit that clips the forces of a law. The result is empty if the forces are not clipped."""
     if (force := vehicle.limits.actuator_force) is not None:
         return f"at {force / 1e3:g} kN" if force >= 1e3 else f"at {force:g} N"
     if (rate := vehicle.limits.force_rate) is not None:
@@ -177,12 +179,12 @@ def _clipped_forces(vehicle: Vehicle) -> str:
 
 
 def _is_element(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns True if a law acts like passive springs, dampers and inerters in the suspensions.
+    """Returns True if a law has the same effect as passive springs, dampers and inerters in the suspensions.
 
-    The loop with this law is always stable.
+    The loop with a passive law is always stable.
 
-    With the suspension deflections d, the law is then u = -(K d + C d' + M d''), where K and M are symmetric, and none of the
-    three parts produces energy.
+    A passive law is u = -(K d + C d' + M d''), with the suspension deflections d and symmetric K and M; no part produces
+    energy.
     """
     model, law, m = vehicle.linear_model, controller.law, len(vehicle.linear_model.inputs)
     places = {one.force: one.deflection for one in vehicle.kind.suspensions}
@@ -207,9 +209,9 @@ def _is_element(vehicle: Vehicle, controller: Controller) -> bool:
 
 
 def _growth(loop: StateSpace, factors: Array) -> Array:
-    """Returns the growth rate of the loop [1/s] for each of several factors by which all forces are multiplied.
+    """Returns the growth rate of the loop [1/s] for each of several factors; all forces are multiplied by the factor.
 
-    The rate is infinite for all factors beyond the factor at which the algebraic loop has no solution.
+    At some factor, the algebraic loop has no solution; the rate is infinite for all factors beyond this factor.
     """
     growth, direct = np.linalg.eigvals(loop.loop_matrix(factors)).real.max(axis=-1), np.linalg.eigvals(loop.D)
     limit = direct.real[np.abs(direct.imag) <= EXACT * np.abs(direct)].max(initial=0.0)
@@ -217,7 +219,9 @@ def _growth(loop: StateSpace, factors: Array) -> Array:
 
 
 def _first_unstable(loop: StateSpace, factors: Array, without: float) -> float:
-    """Returns the factor closest to 1 at which the loop becomes unstable, or `without` if the loop is stable for all factors."""
+    """Returns the factor closest to 1 at which the loop becomes unstable, or the argument `without` if the loop is stable for
+    all factors.
+    """
     unstable = np.flatnonzero(_growth(loop, factors) >= 0)
     if not len(unstable):
         return without
@@ -230,7 +234,7 @@ def _first_unstable(loop: StateSpace, factors: Array, without: float) -> float:
 
 
 def _factor(factor: float) -> str:
-    """Formats a factor and its value in dB.
+    """Formats a gain factor, and the same factor in dB.
 
     The distance of the factor from 1 is given with two significant digits, and the factor has at most six decimals.
     """

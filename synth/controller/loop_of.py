@@ -1,17 +1,17 @@
-"""Loop of a vehicle and its controller with named signals. This module defines which inputs act on a vehicle.
+"""Loop of a vehicle and its controller, with named inputs and outputs. This module defines the inputs that act on a vehicle.
 
 In continuous time, the disturbances are the road velocities (`road_velocity`), the road heights (`road_velocity.height`), and
 loads.
 
-A sampled-data loop holds the disturbances over every step. The following state xi = x - J z_r does not jump if a held road
-height jumps:
+In a sampled-data loop, the disturbances are constant during each step. The following state xi = x - J z_r does not jump if a
+held road height jumps:
 
     xi' = A xi + B u + (A J + Br) z_m + Bh f,    signals = C xi + D u + (C J + Cr) z_r + Dh f_s,
 
 where z_m is the road height in the middle of a step (`.midway`), and z_r is the road height at the sample (`.height`). The
-vector f (`.held`) contains the loads and, with tyre damping, the mean road velocities, which are held over a step. The same
-quantities act on the signals as f_s (`.signal`), and on the measurements as f_r (`.read`). Measurements also contain noise
-(`.noise`).
+vector f (`.held`) contains the loads and, with tyre damping, the mean road velocities, which are constant during each step. The
+loads and velocities act on the signals as f_s (`.signal`), and on the measurements as f_r (`.read`). Measurements also contain
+noise (`.noise`).
 
 The outputs are the signals of the vehicle, the measurements (`body_acceleration.read`) and the commanded forces of the
 actuators (`.held`).
@@ -36,17 +36,21 @@ HEIGHT, MIDWAY, HELD, SIGNAL, READ, NOISE = ".height", ".midway", ".held", ".sig
 
 
 def with_lag(vehicle: Vehicle) -> LinearModel:
-    """Returns the linear model, with actuator lag if the vehicle has it. The last states are then the forces after the lag."""
+    """Returns the linear model, with actuator lag if the vehicle file specifies a lag. With actuator lag, the last states of
+    the model are the forces after the lag.
+    """
     return vehicle.linear_model.behind_lag(vehicle.limits.actuator_bandwidth)
 
 
 def with_ending(names: Iterable[str], ending: str) -> tuple[str, ...]:
-    """Returns the names with an ending appended to each name."""
+    """Returns names with the suffix `ending` appended to each name."""
     return tuple(f"{name}{ending}" for name in names)
 
 
 def pushes(model: LinearModel) -> tuple[str, ...]:
-    """Returns the names of held inputs other than road heights: loads and, with tyre damping, road velocities."""
+    """Returns the names of the inputs that are constant during each step, apart from road heights: loads and, with tyre
+    damping, road velocities.
+    """
     return (*model.loads, *(model.disturbances if model.tyres_damp else ()))
 
 
@@ -56,14 +60,15 @@ def loop_of(
     timestep: float | None = None,
     exponential: Callable[[Array], Array] = linalg.expm,
 ) -> Loop:
-    """Returns the loop of a vehicle and a controller with actuator lag, in continuous time or as `[implementation]` samples it.
+    """Returns the loop of a vehicle and a controller with actuator lag, in continuous time or sampled as `[implementation]`
+    specifies.
 
     Args:
         vehicle: vehicle of the controller.
-        controller: linear controller. The force of its preview is an input of the loop.
+        controller: linear controller. The force of the controller's preview is an input of the loop.
         timestep: timestep of the simulation [s]; None for continuous time without delay.
-        exponential: function that computes the matrix exponential. With `taylor4`, the loop predicts the result of an RK4
-            integrator.
+        exponential: function that computes the matrix exponential. With `taylor4`, the loop predicts what an RK4 integrator
+            computes.
 
     Raises:
         InputError: the sample period or the delay is not a multiple of the timestep, or the law cannot be sampled.
@@ -79,12 +84,13 @@ def loop_of(
 
 
 def plant_of(vehicle: Vehicle, measured: Sequence[str] = (), sampled: bool = False) -> StateSpace:
-    """Returns the plant that `loop_of` uses, from forces and disturbances to signals, measurements and commanded forces.
+    """Returns the plant from which `loop_of` builds the loop, from forces and disturbances to signals, measurements and
+    commanded forces.
 
     Args:
         vehicle: vehicle of the plant.
         measured: names of the measured signals.
-        sampled: True if disturbances are held over steps.
+        sampled: True if the disturbances are constant during each step.
 
     Raises:
         InputError: the vehicle does not have a measured signal.
@@ -125,12 +131,14 @@ def plant_of(vehicle: Vehicle, measured: Sequence[str] = (), sampled: bool = Fal
 
 
 def radius(loop: Loop) -> float:
-    """Returns the growth factor of a sampled-data loop per timestep: above 1 if unstable, exactly 1 if marginal."""
+    """Returns the factor by which the motion of a sampled-data loop grows per timestep: above 1 if unstable, exactly 1 if
+    marginal.
+    """
     return sampled_growth(loop.closed_loop.A) ** (1 / len(loop.by_step))
 
 
 def road_inputs(model: LinearModel, controller: Controller, omega: Array) -> dict[str, Array]:
-    """Returns the inputs of a continuous loop for r roads, on each of which one wheel has the road velocity exp(j omega t).
+    """Returns the inputs of a continuous loop for r roads; on each road, one wheel has the road velocity exp(j omega t).
 
     Args:
         model: linear model of the vehicle.

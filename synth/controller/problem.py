@@ -1,22 +1,22 @@
-"""Control problem of a vehicle: its plant (15) and the measurements of a controller, defined by named signals.
+"""Control problem of a vehicle: its plant (15) and the measurements of a controller, defined by the names of signals.
 
-The plant is the linear model of the vehicle, with the weighted signals of `[performance]` as z. The section of a controller may
-add sensor noise and loads on the body, which are disturbances in addition to the road. The section may also add actuator lag,
-whose states are added to the states of the vehicle.
+The plant is the linear model of the vehicle, with the weighted signals of `[performance]` as z. The vehicle file's section of a
+controller may add sensor noise and loads on the body, which are disturbances in addition to the road. The section may also add
+actuator lag, whose states are added to the states of the vehicle.
 
 If z contains the integral of a signal, this integral is a state of the plant. The integral counts as measured if its signals
-are measured, because a law can integrate its measurements as the plant does. The first states of this law are then also states
-of the plant, and the closed loop contains them only once (`integral_action.py`).
+are measured, because a law can integrate its measurements as the plant does. The first states of a law with such an integral
+are also states of the plant, and the closed loop contains them only once (`integral_action.py`).
 
-A law in a theoretical study may measure heights above the datum of a flat road. These heights contain the road height z_r,
+A law in a theoretical study may measure heights above the datum of a flat road. Measured heights contain the road height z_r,
 which then acts on the vehicle through the law:
 
     x' = A x + B w + E z_r,    z = C x + D w + F z_r,    z_r' = w,
 
-where the matrices describe the closed loop. With xi = x + A^-1 E z_r, this becomes xi' = A xi + (B + A^-1 E) w and z = C xi
-+ D w + (F - C A^-1 E) z_r. A finite norm therefore exists if F = C A^-1 E, which means that a constant road height does not
-affect z. The norm is then computed from a loop with the same number of states. If the road filter is zero at 0 rad/s, z_r is a
-sum of filter states, which the law measures.
+The matrices in these equations describe the closed loop. With xi = x + A^-1 E z_r, the equations become xi' = A xi + (B + A^-1
+E) w and z = C xi + D w + (F - C A^-1 E) z_r. A finite norm therefore exists if F = C A^-1 E, because a constant road height
+then does not affect z. With F = C A^-1 E, the norm is computed from a loop without additional states. If the road filter is
+zero at 0 rad/s, z_r is a linear combination of the filter states, and the law measures this combination.
 """
 
 from collections.abc import Mapping, Sequence
@@ -49,13 +49,13 @@ class ClosedLoop:
     """Closed loop of a law, represented as a static gain on a larger plant.
 
     Attributes:
-        plant: plant with the states of the law, except for states that the plant already contains.
-        G: static gain on this plant.
+        plant: plant that includes the states of the law, except for those that the plant already contains.
+        G: static gain on the plant with the states of the law.
         plant_without_law: plant without the states of the law.
         states: names of the states of the plant without the law.
         law_states: number of states of the law, which follow the states of the plant.
-        with_road_heights: closed loop with the road heights as its last states, if a constant road height affects z. This loop
-            has no finite norm. None otherwise.
+        with_road_heights: closed loop with the road heights as its last states, if a constant road height affects z. The loop
+            with road heights has no finite norm. None otherwise.
         unbounded_outputs: indices of the entries of z that a constant road height affects.
     """
 
@@ -92,15 +92,15 @@ class Problem:
     Attributes:
         plant: plant with n states, m inputs, q measurements and r disturbances. The last disturbances are the loads, followed
             by the measurement noises.
-        forces: measured forces without lag, which do not depend on the state: the index of each measurement, and the index of
-            its input.
-        integrated: factors with which the measurements enter each measured integral, shape (j, q - j). The integrals are the
-            last j measurements. None if no integral is measured.
+        forces: measured forces without lag, which do not depend on the state; index of the measurement, and index of the
+            measured force.
+        integrated: factors with which the measurements enter each measured integral, shape (j, q - j). The measured integrals
+            are the last j measurements. None if no integral is measured.
         integrals: indices of the states of the plant that are integrals.
         measured_integrals: indices of the plant states that are measured integrals, in the order of the rows of `integrated`.
         states: names of the states of the plant.
-        of_heights: gain from the road heights to the measurements, shape (q, r), if the heights are integrals of the
-            disturbances. None if no height above a datum is measured, or if the heights are states of the plant.
+        of_heights: gain from the road heights to the measurements, shape (q, r), if the road heights are integrals of the
+            disturbances. None if no height above a datum is measured, or if the road heights are states of the plant.
         rates: two matrices, from the plant's states and from its disturbances to the road velocities; None if `of_heights` is
             None.
     """
@@ -121,7 +121,9 @@ class Problem:
 
     @property
     def of_states(self) -> Plant:
-        """Plant with only the measurements that depend on the state, C_y x + Dyw w. Designs compute a law for this plant."""
+        """Plant with only the measurements that depend on the state, C_y x + Dyw w. A design method computes a law for the
+        plant with these measurements.
+        """
         return self.plant.rows(self.state_measurements).without_feedthrough
 
     def closed_loop(self, law: LinearLaw) -> tuple[Plant, Feedback]:
@@ -146,7 +148,8 @@ class Problem:
         return FEATURES.load("integral action").with_integrators(law, self.integrated)
 
     def judged(self, law: LinearLaw) -> "ClosedLoop":
-        """Returns the closed loop of a law on the measurements. The certificate of the law describes this loop.
+        """Returns the closed loop of a law on the measurements. The certificate of the law describes the closed loop that is
+        returned.
 
         Raises:
             InputError: the algebraic loop has no solution, or a discrete law has no continuous counterpart.
@@ -202,13 +205,13 @@ class Problem:
 
 
 def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignConditions, plant: Plant | None = None) -> Problem:
-    """Returns the control problem for which a controller with these measured signals is designed and evaluated.
+    """Returns the control problem for which a controller with the given measured signals is designed and evaluated.
 
     Args:
         vehicle: vehicle of the controller.
         measured: names of the q measured signals.
         hardware: sensor noise, actuator lag and loads.
-        plant: `generalized_plant` of the vehicle for this hardware, if already computed.
+        plant: `generalized_plant` of the vehicle for the given hardware, if already computed.
 
     Raises:
         InputError: the vehicle does not have a measured signal.
@@ -251,8 +254,8 @@ def _heights_read(
 ) -> tuple[Array, Array, Array | None, tuple[Array, Array]]:
     """Returns the contributions of measured heights to Cy and Dyw, and the attributes `of_heights` and `rates` of a `Problem`.
 
-    The measured heights contain the warp of the road, which is a separate disturbance. The other part of the heights is the
-    integral of the road velocities.
+    The measured heights contain the warp of the road, which is a separate disturbance. The other part of the measured heights
+    is the integral of the road velocities.
     """
     Cr, road, directions = model.Cr[rows], vehicle.road_filter, road_twist_inputs(model)
     by_twist, by_height, r = Cr @ directions.T / model.twist_rate, Cr - Cr @ directions.T @ directions, Cr.shape[1]
@@ -281,7 +284,7 @@ def road_rates(vehicle: Vehicle, plant: Plant) -> tuple[Array, Array]:
 
 
 def measured_integrals(vehicle: Vehicle, measured: Sequence[str]) -> dict[str, Mapping[str, float]]:
-    """Returns the integrals in z whose signals are all measured: for each integral, by name, the factor of each signal."""
+    """Returns, by name, the integrals in z whose signals are all measured, with the factor of each signal in the integral."""
     return {name: terms for name, terms in vehicle.integrals.items() if set(terms) <= set(measured)}
 
 
@@ -298,15 +301,15 @@ def generalized_plant(
 ) -> Plant:
     """Returns the plant (15) of a vehicle: its linear model, with the weighted signals of `[performance]` as z, see (34)-(37).
 
-    The states of the vehicle come first; its last states are the forces after actuator lag. The states of frequency-dependent
-    weights and of the road filter follow.
+    The states of the vehicle come first; the last of these states are the forces after actuator lag. The last states belong to
+    frequency-dependent weights and to the road filter.
 
     Args:
         vehicle: vehicle of the plant.
         bandwidth: corner frequency of the actuator lag [rad/s]; None for forces without lag.
-        acting: True if z contains the force after the lag, as in the implemented system. Otherwise, z contains the force that
+        acting: True if z contains the force after the lag, as in the sampled-data loop. Otherwise, z contains the force that
             the controller requests.
-        loads: loads on the body, each with the value that counts as w = 1 m/s. The loads are the last disturbances, after the
+        loads: loads on the body; each load has a value that counts as w = 1 m/s. The loads are the last disturbances, after the
             road.
     """
     model, rows = _design_model(vehicle, bandwidth), vehicle.weighted
@@ -352,7 +355,7 @@ def _design_model(vehicle: Vehicle, bandwidth: float | None) -> LinearModel:
 
 
 def _with_integrals(plant: Plant, vehicle: Vehicle, model: LinearModel) -> Plant:
-    """Adds to z the integrals that its weights contain. These integrals are already states of the plant."""
+    """Adds to z the integrals for which `[performance]` has a weight. The integrals are already states of the plant."""
     if not vehicle.integrals:
         return plant
     C = plant.C.copy()
@@ -425,7 +428,8 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
     Args:
         vehicle: vehicle of the plant.
         signals: names of the q measured signals, in the order of the rows of C_y.
-        bandwidth: corner frequency of the actuator lag, as in `generalized_plant` [rad/s]. With lag, the feedthrough is zero.
+        bandwidth: corner frequency of the actuator lag, as in `generalized_plant` [rad/s]. With actuator lag, the feedthrough
+            is zero.
 
     Raises:
         InputError: the vehicle does not have a measured signal.
@@ -439,7 +443,7 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
     """Returns the effects of the road's warp on the states and on signals, shapes (n, k) and (len(signals), k).
 
     If the warp were the integral of a road velocity, its effect could be unbounded, because a constant warp has a lasting
-    effect. The warp is therefore a separate disturbance. The warp is scaled by the rate of wheel hop
+    effect on the vehicle. The warp is therefore a separate disturbance. The warp is scaled by the rate of wheel hop
     (`LinearModel.twist_rate`), so that a bound holds for warp and road velocities together.
     """
     Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
@@ -449,8 +453,8 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
 
 
 def road_twist_inputs(model: LinearModel) -> Array:
-    """Returns the road warps: the combinations of the road heights under r wheels that affect the vehicle even if they are
-    constant.
+    """Returns the road warps, which are the combinations of the road heights under r wheels that affect the vehicle even if
+    they are constant.
 
     The k rows are orthonormal, shape (k, r).
     """

@@ -41,11 +41,11 @@ APART = Field[SampledNorm]("difference", lambda one: one.gap, ".0e")
 
 
 def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
-    """Returns the norm of the sampled-data loop of a vehicle and a controller, if the vehicle file describes an implementation.
+    """Returns the norm of the sampled-data loop of a vehicle and a controller, if the vehicle file specifies an implementation.
 
-    The result is None if `[implementation]` has neither sample period nor delay. The result is also None for a stable loop for
-    which no such norm exists. This occurs only with laws for theoretical study, if a constant road height affects z, or if the
-    law measures the road's warp.
+    The result is None if `[implementation]` has neither sample period nor delay. The result is also None for a stable loop that
+    has no norm. A norm is missing only for laws for theoretical study, if a constant road height affects z, or if the law
+    measures the road's warp.
     """
     if vehicle.implementation.undelayed:
         return None
@@ -60,8 +60,8 @@ def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
 def has_sampled_norm(vehicle: Vehicle, controller: Controller) -> bool:
     """Returns True if the sampled-data loop can have a norm.
 
-    The sampled-data loop has no norm if the continuous loop is stable but has no norm, or if measured heights contain the
-    road's warp.
+    The sampled-data loop has no norm if the continuous loop is stable without a norm, or if measured heights contain the road's
+    warp.
     """
     model, norm = vehicle.linear_model, controller.certificate.norm.value
     heights = [model.outputs.index(name) for name in model.over_datum(controller.measured)]
@@ -78,7 +78,7 @@ def norm_or_failure(vehicle: Vehicle, controller: Controller) -> tuple[SampledNo
 
 
 def norm_record(norm: SampledNorm | None) -> dict[str, float]:
-    """Returns the norm in the format of certificates; empty if the norm is None or infinite."""
+    """Returns a norm in the format of certificates; the result is empty if the norm is None or infinite."""
     return {SAMPLED_NORM: norm.value} if norm is not None and norm.stable else {}
 
 
@@ -95,13 +95,13 @@ PROVED_NORM = Record[SampledNorm](
 
 
 def built_words(vehicle: Vehicle) -> str:
-    """Describes the linear parts of an implementation, which the norm of its sampled-data loop takes into account."""
+    """Describes the linear parts of an implementation; the norm of the sampled-data loop takes these parts into account."""
     lag = Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
     return ", ".join((*vehicle.implementation.without_noise.phrases, *lag.phrases(())))
 
 
 def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
-    """Describes the failed checks of a sampled-data norm."""
+    """Describes the checks of a sampled-data norm that failed."""
     if norm is None or not norm.stable:
         return ()
     if norm.reached <= norm.upper and norm.gap <= ROUTES_AGREE:
@@ -115,7 +115,7 @@ def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, no
     """Returns the failures of the certificate that are ignored: instability of the continuous loop if the sampled-data loop is
     stable.
 
-    If the vehicle file describes an implementation, only the stability of the sampled-data loop counts, because this loop runs
+    If the vehicle file specifies an implementation, only the stability of the sampled-data loop counts, because this loop runs
     in the vehicle.
     """
     cured = norm is not None and norm.stable and not vehicle.implementation.undelayed
@@ -125,7 +125,7 @@ def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, no
 def failures_of_sampled_loop(
     vehicle: Vehicle, certificate: Certificate, failures: Iterable[str], norm: SampledNorm | None
 ) -> tuple[str, ...]:
-    """Describes the failures of the sampled-data loop, and the failures of the continuous loop that still apply."""
+    """Describes the failures of the sampled-data loop, and those failures of the continuous loop that still apply."""
     excused = instability_cured_by_sampling(vehicle, certificate, norm)
     return (*(failure for failure in failures if failure not in excused), *norm_failures(norm))
 
@@ -143,7 +143,7 @@ def false_norm(
     Args:
         record: certificate to check; None if the controller has no certificate.
         vehicle: vehicle with the implementation of the controller.
-        norm_of_loop: function that computes the norm (`norm_if_implemented`). This function is called only if the record claims
+        norm_of_loop: function that computes the norm (`norm_if_implemented`). The function is called only if the record claims
             a norm.
     """
     said = (record or {}).get(SAMPLED_NORM)
@@ -166,7 +166,7 @@ SHORT = 1e-6  # the central path counts as completed if the relative gap in gamm
 
 
 def law_text(law: LinearLaw) -> str:
-    """Formats a law: the gain of a static law, otherwise its equations and, for a PI or PID law, its gains."""
+    """Formats a law: a static law as its gain, any other law as its equations and, for a PI or PID law, its gains."""
 
     if not law.states:
         return f"gain {gain_text(law.D)}"
@@ -195,14 +195,14 @@ MOST_ENTRIES = 8  # a gain with at most this many entries is printed with signal
 
 
 def pid_line(controller: Controller) -> str:
-    """Formats the gains of a designed PI or PID law in the syntax of a vehicle file; empty for other laws."""
+    """Formats the gains of a designed PI or PID law in the syntax of a vehicle file; returns an empty text for other laws."""
     pid = FEATURES.load("PID laws")
     remarked = (remark.partition(pid.ITS_GAINS)[2].partition("; ")[0] for remark in controller.remarks)
     return next(filter(None, remarked), "") or pid.pid_text(controller.law)
 
 
 def sign_note(controller: Controller) -> str:
-    """Returns a note about the signs of gains if a PI or PID law with a positive gain gives an unstable loop; else empty."""
+    """Returns a note about the signs of the gains if a PI or PID law with a positive gain makes the loop unstable; else empty."""
     if controller.certificate.stable or not controller.law.states:
         return ""
     pid = FEATURES.load("PID laws")
@@ -212,7 +212,7 @@ def sign_note(controller: Controller) -> str:
 
 
 def twist_lines(vehicle: Vehicle) -> list[str]:
-    """Returns a note about road warp, which is a separate disturbance, if it affects the vehicle."""
+    """Returns a note about road warp, which is a separate disturbance, if the warp affects the vehicle."""
     count, rate = len(road_twist_inputs(vehicle.linear_model)), rough(vehicle.linear_model.twist_rate)
     # If the body has a roll or pitch axis, its weight acts in proportion to the inclination of the road.
     axes = {"roll_centre_height_front": "roll", "roll_centre_height": "roll", "pitch_centre_height": "pitch"}
@@ -262,7 +262,7 @@ def _has_idle_integral(controller: Controller) -> bool:
 
 
 def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
-    """Returns notes about a law: its own instability, small margins of its loop, its integral and its anti-windup."""
+    """Returns notes about a law: instability of the law itself, small margins of its loop, its integral and its anti-windup."""
     margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
     winds = " and winds up when forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
     notes = [f"this law is unstable by itself (+{rough(margins.growth)} 1/s){winds}"] if margins.growth else []
@@ -301,7 +301,9 @@ STUDY = "for study only: no sensor on a car measures heights over the datum of a
 
 
 def study_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
-    """Returns notes about a law for theoretical study: that no car can measure its signals, and why no finite norm may exist."""
+    """Returns notes about a law for theoretical study: no car can measure the signals of this law, and a finite norm may not
+    exist.
+    """
     if not vehicle.linear_model.over_datum(controller.measured):
         return []
     shows = controller.problem(vehicle).judged(controller.law).unbounded_outputs if controller.linear is True else ()
@@ -313,7 +315,9 @@ FEEDBACK_ALONE = "norm, bound and poles are those of the feedback without the pr
 
 
 def judged_lines(controller: Controller) -> list[str]:
-    """Returns notes about noise, loads, lag, preview and a Tustin transform, if a controller's norm and bounds include them."""
+    """Returns notes about noise, loads, lag, preview and a Tustin transform, if they are included in a controller's norm and
+    bounds.
+    """
     measured, hardware = controller.measured, controller.hardware
     noise = ", ".join(f"{rms:g} on {name}" for name, rms in zip(measured, hardware.noise, strict=bool(hardware.noise)) if rms)
     loads = ", ".join(f"{value:g} {load_signal(name).unit} of {name}" for name, value in hardware.loads)
@@ -332,7 +336,9 @@ def judged_lines(controller: Controller) -> list[str]:
 
 
 def notes(controller: Controller) -> tuple[str, ...]:
-    """Returns notes about the design: degenerate problem, fallback method, gap to the optimum, redundant measurements."""
+    """Returns notes about the design of a controller: degenerate problem, fallback method, gap to the optimum, redundant
+    measurements.
+    """
     texts = [
         *judged_lines(controller),
         *(text for text in (controller.degeneracy, controller.fallback_method, *controller.remarks) if text),

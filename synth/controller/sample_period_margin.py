@@ -1,6 +1,6 @@
 """Sample-period margin: the shortest sample period at which a loop is unstable.
 
-One copy of the law computes the forces at which the loop is cut, in discrete time. A second copy computes the other forces in
+The loop is cut at some forces, which one copy of the law computes in discrete time. A second copy computes the other forces in
 continuous time. Each copy contains only the states of the law on which its forces depend.
 """
 
@@ -32,7 +32,7 @@ LONGEST = 100.0  # longest sample period that is tested if the vehicle does not 
 
 
 def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
-    """Returns True if all forces must be sampled, because all are cut, some are measured, or two copies of the law would
+    """Returns True if all forces must be sampled: the loop is cut at all forces, some are measured, or two copies of the law
     diverge.
 
     Two copies diverge from each other if both have a mode that does not decay, such as an integrator, because no measurement
@@ -46,9 +46,9 @@ def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
 
 
 def sampled_part(loop: Loop, forces: Sequence[str]) -> Loop:
-    """Returns the continuous loop of the sampled forces.
+    """Returns the continuous loop through the sampled forces.
 
-    The plant of this loop includes the feedback of the forces that are not sampled.
+    The plant of the continuous loop includes the feedback of the forces that are not sampled.
     """
     plant, law, mine = loop.plant.part(loop.measured, loop.forces), loop.acting_law, np.isin(loop.forces, forces)
     if all_sampled(loop, forces):
@@ -104,13 +104,13 @@ def _needed_states(law: LinearLaw, forces: Array) -> Array:
 
 
 def _part(law: LinearLaw, forces: Array) -> LinearLaw:
-    """Returns the part of the law that computes the given forces, with the states on which these forces depend."""
+    """Returns the part of the law that computes the given forces; this part has only the states on which these forces depend."""
     kept = _needed_states(law, forces)
     return LinearLaw(law.A[np.ix_(kept, kept)], law.B[kept], law.C[np.ix_(forces, kept)], law.D[forces])
 
 
 def _powers(A: Array, start: float, step: float, count: int) -> Array:
-    """Returns exp(A t) at t = start + step, start + 2 step and so on, shape (count, n, n)."""
+    """Returns the transition matrices exp(A t) at t = start + step, start + 2 step and so on, shape (count, n, n)."""
     by, now = linalg.expm(A * step), linalg.expm(A * start)
     made = np.empty((count, *A.shape))
     with np.errstate(over="ignore", invalid="ignore"):  # an unstable law may overflow if the sample period is long
@@ -123,10 +123,10 @@ def _powers(A: Array, start: float, step: float, count: int) -> Array:
 def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> float:
     """Returns the shortest sample period of the given forces at which a continuous loop becomes unstable [s]; may be infinite.
 
-    The search increases the sample period until all motion has decayed, in steps so short that no pole turns by more than 0.05
-    rad. The product of 1 - z_i z_j over all pairs of eigenvalues z is a smooth function of the sample period, and it is
-    negative where the loop becomes unstable. The minima of this product reveal ranges of instability that are shorter than one
-    step. The result is 0 if a force returns undiminished through its own measurement.
+    The search increases the sample period until all motion decays within one period, in steps so short that no pole turns by
+    more than 0.05 rad. The product of 1 - z_i z_j over all pairs of eigenvalues z is a smooth function of the sample period,
+    and it is negative where the loop becomes unstable. The minima of the product reveal ranges of unstable sample periods that
+    are shorter than one step. The result is 0 if a force acts undiminished, through its own measurement, on itself.
 
     Args:
         loop: loop that is stable in continuous time.
@@ -168,9 +168,10 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
 
 
 def _dip(loop: Loop, period: float, h: float, products: Array) -> float | None:
-    """Returns the sample period near `period` at which the product is smallest [s].
+    """Returns the sample period near `period` at which the product of 1 - z_i z_j over all pairs of eigenvalues z is smallest
+    [s].
 
-    The result is None if the parabola through three products has its minimum far above 0.
+    The result is None if the parabola through three values of this product has its minimum far above 0.
     """
     bend = products[0] - 2 * products[1] + products[2]
     lowest = products[1] - (products[2] - products[0]) ** 2 / (8 * bend)
@@ -187,8 +188,8 @@ def _dip(loop: Loop, period: float, h: float, products: Array) -> float | None:
 
 
 def _products(transitions: Array) -> Array:
-    """Returns the product of 1 - z_i z_j over all pairs i <= j of eigenvalues z; infinite if a power of the matrix has a norm
-    below 1, so that the loop is stable.
+    """Returns the product of 1 - z_i z_j over all pairs i <= j of eigenvalues z; infinite if a power of the matrix proves that
+    the loop is stable.
 
     The product is minus infinity if an eigenvalue is outside the unit circle, and NaN if entries are not finite.
     """

@@ -1,15 +1,16 @@
-"""Stability margins of a loop, predicted from the loop cut at some forces.
+"""Stability margins of a loop, computed from the loop cut at some of its forces.
 
 The cut loop (`Loop.cut`) is L(s) = C (s I - A)^-1 B + D. The closed loop reaches the limit of stability if an eigenvalue of L(j
 w) is 1 at some frequency w. The margins are not read from a frequency grid. Let M = B C, and D = 0. With the Kronecker sum X
 (+) Y = kron(X, I) + kron(I, Y), the margins are computed as follows:
 
-- Gain: a gain factor k moves a pole of A + k M to the imaginary axis only if the sum of two poles is zero. This requires that
-  (A + k M) (+) (A + k M) is singular, which is a linear eigenvalue problem in k.
+- Gain: a gain factor k moves a pole of A + k M to the imaginary axis only if the sum of two poles is zero. The sum of two poles
+  is zero only if (A + k M) (+) (A + k M) is singular, which is a linear eigenvalue problem in k.
 - Phase lag: a phase lag theta, with the factor z = exp(-j theta), moves a pole to the axis only if
-  (A + z M) (+) (A + conj(z) M) is singular. Since conj(z) = 1 / z, this is a quadratic eigenvalue problem in z. The solutions
-  on the unit circle are all crossovers (Chen, Gu, Nett 1995).
-- Delay: a delay of theta / w causes the lag theta at the frequency w. The delay margin is the smallest delay of all crossovers.
+  (A + z M) (+) (A + conj(z) M) is singular. Since conj(z) = 1 / z, the condition is a quadratic eigenvalue problem in z. The
+  solutions z on the unit circle give all crossovers (Chen, Gu, Nett 1995).
+- Delay: a delay of theta / w causes the phase lag theta at the frequency w. The delay margin is the smallest of the delays at
+  all crossovers.
 - Phase lead: a phase lead is 2 pi minus the phase lag. The crossover with the largest lag therefore has the smallest lead.
 - Sample period: a period T is a limit if exp(A T) + (integral of exp(A s) ds B) C has an eigenvalue on the unit circle; see
   `sample_period_margin.py`.
@@ -50,8 +51,8 @@ class Crossover:
     """Frequency w at which an eigenvalue of L(j w) has the magnitude 1.
 
     Attributes:
-        frequency: frequency w [rad/s]; infinite if a force grows through its own measurement with any delay.
-        phase: phase lag that makes the eigenvalue equal to 1, between 0 and 2 pi [rad].
+        frequency: frequency w [rad/s]; infinite if, with any delay, a force grows through its own measurement.
+        phase: phase lag that makes an eigenvalue of L(j w) equal to 1, between 0 and 2 pi [rad].
     """
 
     frequency: float
@@ -64,7 +65,7 @@ class Crossover:
 
     @property
     def lead(self) -> float:
-        """Phase lead that makes the eigenvalue equal to 1 [rad]: 2 pi minus the phase lag."""
+        """Phase lead that makes an eigenvalue of L(j w) equal to 1 [rad]: 2 pi minus the phase lag."""
         return 2 * math.pi - self.phase
 
 
@@ -73,8 +74,8 @@ class Margins:
     """Predicted stability margins of a loop; an unlimited margin is infinite.
 
     Attributes:
-        gain: smallest factor above 1 at which the loop is unstable.
-        gain_lower: largest factor below 1 at which the loop is unstable; 0 if no such factor exists.
+        gain: smallest factor above 1 on the cut forces at which the loop is unstable.
+        gain_lower: largest factor below 1 on the cut forces at which the loop is unstable; 0 if no such factor exists.
         crossovers: all crossovers, ordered by increasing delay. The first crossover gives the delay margin.
         sample_period: shortest sample period at which the loop is unstable [s].
         disk: disk margin, for complex factors on the forces.
@@ -108,7 +109,7 @@ class Margins:
     def smallest_phase(self) -> float:
         """Smallest phase lag among all crossovers [rad].
 
-        This lag is smaller than `phase` if a crossover at a lower frequency has a smaller lag but a longer delay.
+        The smallest phase lag is below `phase` if a crossover at a lower frequency has a smaller lag but a longer delay.
         """
         return min((crossover.phase for crossover in self.crossovers), default=math.inf)
 
@@ -164,11 +165,13 @@ def bilinear(cut: StateSpace) -> StateSpace:
 
 
 def gain_crossings(cut: StateSpace, tried: Array | None = None) -> list[float]:
-    """Returns the gain factors between 0 and `LARGEST_FACTOR` at which the loop changes between stable and unstable.
+    """Returns the factors on the cut forces, between 0 and `LARGEST_FACTOR`, at which the loop changes between stable and
+    unstable.
 
     If `tried` is given, with shape (K,), only the intervals between these K factors are searched. If the loop has a
-    feedthrough, the factor at which its spectral radius reaches 1 is also a limit: beyond it, any delay makes the loop
-    unstable. If this factor is below 1, the loop itself is only theoretical, and factors beyond it are returned, too.
+    feedthrough, the factor at which its spectral radius reaches 1 is also a limit, because with larger factors any delay causes
+    instability. If the limit from the feedthrough is below 1, the loop itself is only theoretical, and factors beyond the limit
+    are returned, too.
     """
     n = len(cut.A)
     if cut.dt is not None:
@@ -218,13 +221,15 @@ def crossovers(cut: StateSpace) -> tuple[Crossover, ...]:
 
 
 def _balance_loop(cut: StateSpace) -> StateSpace:
-    """Returns a cut loop whose states have units (powers of two) that make its entries similar in size."""
+    """Returns a cut loop with other units of the states (powers of two), so that all entries of its matrices are similar in
+    size.
+    """
     _, (scale, _) = linalg.matrix_balance(np.abs(cut.A) + np.abs(cut.B @ cut.C), permute=False, separate=True)
     return replace(cut, A=cut.A * scale / scale[:, None], B=cut.B / scale[:, None], C=cut.C * scale)
 
 
 def _of_the_pencil(cut: StateSpace) -> list[Crossover | None]:
-    """Returns crossovers from the quadratic eigenvalue problem in the module docstring."""
+    """Returns the crossovers from the quadratic eigenvalue problem that the module's docstring describes."""
     A, M, identity = cut.A, cut.B @ cut.C, np.eye(len(cut.A))
     # The matrix z^2 kron(M, I) + z (A (+) A) + kron(I, M) must be singular.
     S, size = _kronecker_sum(A, A), len(A) ** 2
@@ -253,7 +258,9 @@ def _by_delay(candidates: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
 
 
 def _crossings_on_a_grid(cut: StateSpace, count: int = ANGLES) -> list[Crossover | None]:
-    """Returns the crossovers between those neighbouring phase lags of a fine grid whose numbers of unstable poles differ."""
+    """Returns crossovers found on a fine grid of phase lags: each lies between two lags that give different numbers of unstable
+    poles.
+    """
     angles = np.linspace(0, 2 * np.pi, count)
     # The poles for the lag 2 pi - theta are the complex conjugates of the poles for the lag theta.
     half = np.linalg.eigvals(cut.loop_matrix(np.exp(-1j * angles[: count // 2 + 1])))
@@ -272,7 +279,9 @@ def _crossings_on_a_grid(cut: StateSpace, count: int = ANGLES) -> list[Crossover
 
 
 def _refine_crossover(cut: StateSpace, theta: float, pole: complex) -> Crossover | None:
-    """Returns the exact crossover near a phase lag and a pole; None if the pole only comes close to the axis."""
+    """Returns the exact crossover near a phase lag and a pole; None if the pole comes close to the imaginary axis but does not
+    reach it.
+    """
 
     def nearest(angle: float) -> complex:
         if not abs(angle - theta) < 1:  # the secant is nearly horizontal and would lead far away
@@ -293,14 +302,16 @@ def _refine_crossover(cut: StateSpace, theta: float, pole: complex) -> Crossover
 def _kronecker_sum(X: Array, Y: Array) -> Array:
     """Returns the Kronecker sum of X and Y.
 
-    The eigenvalues of this sum are all sums of an eigenvalue of X and an eigenvalue of Y.
+    The eigenvalues of the Kronecker sum are all sums of an eigenvalue of X and an eigenvalue of Y.
     """
     identity = np.eye(len(X))
     return np.kron(X, identity) + np.kron(identity, Y)
 
 
 def _sign_changes(growth: Callable[[float], float], tried: Array) -> list[float]:
-    """Returns the positive candidates at which the growth rate changes its sign, refined to a relative accuracy of 1e-13."""
+    """Returns the positive candidates at which the growth rate of the loop changes its sign, refined to a relative accuracy of
+    1e-13.
+    """
     changes = []
     candidates = np.unique(tried[(tried > 1 / LARGEST_FACTOR) & (tried < LARGEST_FACTOR)])
     # A pair of poles gives the same factor twice, with different rounding errors. Between these two values, the growth is zero

@@ -103,10 +103,11 @@ def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> lis
 
 
 def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) -> None:
-    """Checks that every mode that does not decay is observable in z. Otherwise, the path of (22) does not end at an optimum.
+    """Checks that every mode that does not decay is observable in z. If a mode that does not decay is unobservable, the path of
+    (22) does not end at an optimum.
 
     Raises:
-        InfeasibleError: no control force can stabilise the plant; the message describes the mode.
+        InfeasibleError: no control force can stabilise the plant; the message describes the mode that cannot be stabilised.
         DesignError: the plant can be stabilised, but the optimal loop is not stable.
     """
     # without this check, the search would follow the path without reaching an optimum
@@ -117,7 +118,9 @@ def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) ->
 
 
 def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
-    """Returns a basis of the observable states, shape (n, k), the plant with only these, and the gain that hides the others."""
+    """Returns a basis of the observable states, shape (n, k), the plant with only these states, and the gain that makes the
+    other states unobservable.
+    """
     kept, parts = np.eye(len(plant.A)), []
     while (part := remove_unobservable(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
         kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]
@@ -133,7 +136,7 @@ def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
     Args:
         inputs: input matrix, shape (n, r).
         inside: orthonormal basis of the subspace.
-        what: component of the inputs outside the subspace, if already computed.
+        what: component of the inputs outside the subspace; None if not yet computed.
     """
     outside = inputs - inside @ (inside.T @ inputs) if what is None else what
     return bool(np.any(np.linalg.norm(outside, axis=0) > RANK * np.linalg.norm(inputs, axis=0)))
@@ -149,7 +152,7 @@ def _with_all_outputs(plant: Plant, own: Plant, scale: Array, forces: Array) -> 
     """Returns the plant with every state and every input as an additional output in z, each divided by its internal unit.
 
     Args:
-        own: the given plant in internal units.
+        own: the argument `plant` in internal units.
         scale: internal unit of each state, shape (n,).
         forces: internal unit of each input, shape (m,).
     """

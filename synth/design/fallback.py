@@ -1,10 +1,11 @@
-"""Static gains by descent on the norm: as a fallback if the two-step method fails, and as a refinement of its result.
+"""Static gains by descent on the norm: descent replaces the two-step method if this method fails, or refines its result.
 
 The two steps can fail in several ways: a central path ends early, the gain grows without limit, or a problem is too large.
-Problem (25) of the paper may also have no solution for any of the matrices X that are tried. A stabilising gain may still
-exist, and the search in `static.py` does not need a central path. Reasons why no gain can exist are checked and reported first.
-Such reasons are a mode that no force affects or no measurement contains, and poles that no gain can change. If weighting
-filters or noise keep the norm of the two-step method far above the lower bound, descent continues from its gain.
+Problem (25) of the paper may also have no solution for any of the matrices X that are tried. Even if the two steps fail, a
+stabilising gain may exist, and the search in `static.py` does not need a central path. If no gain can exist, the reason is
+found and reported first. Reasons why no gain can exist are a mode that no force affects or no measurement contains, and a pole
+that no gain can change. If weighting filters or noise keep the norm of the two-step gain far above the lower bound, descent
+continues from this gain.
 """
 
 import contextlib
@@ -48,11 +49,11 @@ LIMITS = (np.inf, 100.0, 10.0, 3.0)
 
 
 def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a static gain by descent on the norm if the two-step method finds no gain, or no gain that is good enough.
+    """Designs a static gain by descent on the norm if the two-step method finds no gain, or a gain whose norm is too large.
 
     Raises:
         DesignError: no gain with a valid certificate was found; the message gives the reason. Rounding may leave a certificate
-            without a proved bound, for example for the large gains of 60 states.
+            without a proved bound, for example for the large gains of a plant with 60 states.
     """
     plant, steps, failure = problem.plant, problem.start, problem.failure
     if steps is None:
@@ -85,12 +86,13 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Lowers the norm by descent, as `refine` does, if the result of the two steps is more than 0.1 % above the lower bound.
+    """Lowers the norm by descent, as `refine` does, if the norm of the two-step gain is more than 0.1 % above the lower bound.
 
     The gain may double for each 0.1 % by which the norm decreases. If all states are measured without noise, a Riccati equation
-    gives another gain. The norm of this gain is as close to the bound as `largest_gain` allows or, without `largest_gain`, as
-    the speed of actuators allows. If the result is still more than 1 % above the bound, descents also start from other gains.
-    The gain with the lowest norm is returned, unless its poles are too fast for an actuator.
+    gives another gain. The norm of the Riccati gain is as close to the lower bound as `largest_gain` allows or, without
+    `largest_gain`, as the speed of actuators allows. If the norm is still more than 1 % above the lower bound, descents also
+    start from other gains. The gain with the lowest norm is returned, unless the poles of its loop are too fast for an
+    actuator.
     """
     from synth.design.static import bounded_work
 
@@ -113,10 +115,11 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def _refine_design(problem: DesignProblem, design: DesignResult, work: "Work") -> tuple[DesignResult | None, float, str, str]:
-    """Returns a design with a lower norm, or None, the growth factor of its gain, the method that found it, and a remark.
+    """Returns a design with a lower norm (or None), the growth factor of the gain, the name of the method, and a remark.
 
-    The descents start from the gain of the two steps and, if all states are measured, from the gain of a Riccati equation. Each
-    descent ends in a local minimum. If this minimum is far above the lower bound, the search continues for other minima.
+    The descents start from the gain of the two-step method and, if all states are measured, from the gain of a Riccati
+    equation. Each descent ends in a local minimum. If the norm at a local minimum is far above the lower bound, the search
+    continues for other minima.
     """
     from synth.analysis.bounding import certify_law
     from synth.design.descent.growth import price
@@ -158,9 +161,10 @@ def _refine_design(problem: DesignProblem, design: DesignResult, work: "Work") -
 
 
 def _state_feedback(plant: Plant, below: "LowerBound | None", largest_gain: float) -> tuple[list[Array], str]:
-    """Returns the gain of a Riccati equation with the lowest norm and slow enough poles, and why no lower norm was found.
+    """Returns the gain of a Riccati equation with the lowest norm and slow enough poles, and the reason why no lower norm was
+    found.
 
-    If a largest gain is given, poles that are too fast for an actuator are accepted. The list of gains is empty unless all
+    If `largest_gain` is set, poles that are too fast for an actuator are accepted. The list of gains is empty unless all
     states are measured.
     """
     from synth.analysis.bounding import certify_law
@@ -181,7 +185,9 @@ def _state_feedback(plant: Plant, below: "LowerBound | None", largest_gain: floa
 
 
 def _known_gain(plant: Plant, two_steps: DesignResult | str, lower_bound: "LowerBound | None") -> tuple[DesignResult, str] | None:
-    """Returns a certified gain that needs no descent, and a text about its origin; None if there is no such gain."""
+    """Returns a certified gain that needs no descent, and a text that states how the gain was found; None if there is no such
+    gain.
+    """
     from synth.analysis.bounding import certify_law
 
     nothing = static_law(np.zeros((plant.B.shape[1], len(plant.Cy))))

@@ -1,8 +1,9 @@
-"""Design of a controller for any plant. The arguments are the keys of a controller's section in a vehicle file.
+"""Design of a controller for any plant. The arguments of `design_feedback` are the keys of a controller's section in a vehicle
+file.
 
 The arguments are checked first; `models/laws/combinations.py` lists which arguments can be combined. The result is a
-`DesignProblem`, for which `synth.design.methods` chooses the design method. Every method has its own file and can also be
-called directly.
+`DesignProblem`, for which `synth.design.methods` chooses the design method. The functions for the design methods are in
+separate files, and can also be called directly.
 """
 
 import contextlib
@@ -61,25 +62,26 @@ def design_feedback(
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
 ) -> FeedbackDesign:
-    """Designs a controller for any plant. The result contains a certificate, the design method and the reason for this method.
+    """Designs a controller for any plant. The result contains a certificate, the design method, and the reason why this method
+    was chosen.
 
     By default, the design is a static gain with the smallest H-infinity norm, computed by the paper's two-step method. Descent
     follows if the norm is then more than 0.1 % above the lower bound, or if the two steps find no gain. The arguments are the
-    keys of a controller's section in a vehicle file, and the same combinations are allowed. The measurements of a plant are
-    named y1, y2, ..., its forces u1, u2, ..., and the rows of z are named z1, z2, ...
+    keys of a controller's section in a vehicle file, and can be combined in the same way as these keys. The measurements of a
+    plant are named y1, y2, ..., its forces u1, u2, ..., and the rows of z are named z1, z2, ...
 
     Args:
         plant: generalised plant with n states and m inputs; continuous, or discrete with sample period dt.
-        Cy: measurement matrix of y = C_y x + Dyw w, shape (q, n). Default: the measurements of the plant, or all states if the
-            plant has no measurements.
+        Cy: measurement matrix of y = C_y x + Dyw w, shape (q, n). Default: the C_y of the plant, or all states if the plant has
+            no measurements.
         Dyw: direct effect of w on the measurements, shape (q, r). Default: zero if Cy is given, otherwise the Dyw of the plant.
         order: "static" (default), "full" for a law with as many states as the plant, or a smaller number of states.
         design: "lqr", "lqg" or "h2" to minimise the mean square of z instead of the H-infinity norm.
         stable: True if the law itself must be stable; only for a law with an `order`.
         fastest_pole: largest magnitude of the closed-loop poles [rad/s], for order = "full" of a continuous plant; None for no
             limit.
-        noise: rms noise of each measurement, shape (q,). In an H-infinity design, the noise is an additional disturbance
-            multiplied by this rms. For LQG, it is white noise; see `lqg_design`.
+        noise: rms noise of each measurement, shape (q,). In an H-infinity design, noise is an additional disturbance, scaled by
+            its rms value. For LQG, the noise is white; see `lqg_design`.
         sample_period: sample period of the computer that closes the loop of a continuous plant and holds the forces [s].
         delay: delay from a measurement to the force computed from it [sample periods].
         minimise: the norm to minimise, for example {"band": [4.0, 8.0]} [Hz] or {"signals": {"z1": 1.0}}.
@@ -93,16 +95,18 @@ def design_feedback(
             law from each measurement to its force.
         pid: time constant [s] of the low-pass filter on the derivative of a "pid" law, for example {"filter": 0.01}.
         largest_gain: largest |K_ij| allowed for a static gain with the smallest norm, in the units of the plant. Default: 1e5.
-        lower_bound: lower bound on the norm of every controller from these measurements, if known; the certificate contains it.
+        lower_bound: lower bound on the norm of every controller that uses the measurements, if known; the certificate contains
+            this bound.
         states: names of the states, used in error messages.
 
     Returns:
         The law (u = +K y for a gain), its certificate, and texts in `method`, `why` and `remark`. If a sample period is given,
-        the result also contains the sampled-data norm and its lower bound.
+        the result then also contains the norm of the sampled-data loop and a lower bound on this norm.
 
     Raises:
         InputError: a matrix does not fit the plant, the plant has no input, or two arguments exclude each other.
-        InfeasibleError: no such controller stabilises the plant; the message describes the mode that cannot be stabilised.
+        InfeasibleError: no controller of the required type stabilises the plant; the message describes the mode that cannot be
+            stabilised.
         DesignError: no method found a controller; the message gives the reason.
 
     Example:
@@ -177,7 +181,7 @@ def _parts(
     family: Sequence[Plant],
     fastest_pole: float | None,
 ) -> dict[str, str]:
-    """Returns the requested options that the table of compatible options contains, each as the user wrote it."""
+    """Returns those of the requested options that are in the table of compatible options, written as the user wrote them."""
     flags = {"stable": stable, "noise": bool(heard), "sampled": sample_period is not None}
     named = {"order": order, "design": design, "fastest_pole": fastest_pole}
     section = {name: value for name, value in named.items() if value is not None} | flags | dict(goals)
@@ -187,7 +191,7 @@ def _parts(
 
 
 def _plain(value: Any) -> Any:
-    """Converts tables, lists and numbers to the types of a vehicle file."""
+    """Converts tables, lists and numbers in the arguments to the types that a vehicle file uses."""
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -196,7 +200,7 @@ def _plain(value: Any) -> Any:
 
 
 def _distance(certificate: Certificate) -> str:
-    """Returns the gap between a norm and its lower bound, as text; empty if the norm itself is zero."""
+    """Returns the gap between a norm and its lower bound, as text; empty if the norm is zero."""
     if certificate.gap is not None and percent(certificate.gap) == percent(0):
         return "no controller has a lower norm"
     reason = f"; {certificate.below.reason}" if certificate.below is not None and certificate.below.reason else ""
@@ -206,7 +210,7 @@ def _distance(certificate: Certificate) -> str:
 
 
 def _rms(plant: Plant, noise: Sequence[float]) -> Array:
-    """Returns the rms noise of each measurement, shape (q,); empty if there is no noise.
+    """Returns the rms noise of each measurement, shape (q,); an empty array if there is no noise.
 
     Raises:
         InputError: the noise does not have exactly one value >= 0 for each measurement.
@@ -236,7 +240,7 @@ def _structure(plant: Plant, section: Mapping[str, Any]) -> LawStructure | None:
 
 
 def _static(problem: DesignProblem) -> DesignResult:
-    """Designs a static gain by the two-step method, followed or replaced by descent."""
+    """Designs a static gain by the two-step method; descent then refines this gain, or replaces it."""
     from synth.design.static import bounded_work
 
     result = designed(replace(problem, work=bounded_work(problem.plant)))
@@ -277,7 +281,7 @@ def _design_sampled(problem: DesignProblem, plant: Plant, rms: Array, pieces: tu
 def _for_goals(
     problem: DesignProblem, plant: Plant, rms: Array, section: Mapping[str, Any], family: Sequence[Plant]
 ) -> DesignResult:
-    """Designs a static gain for goals of the plant and of a family of plants."""
+    """Designs a static gain for goals that apply to the plant and to a family of further plants."""
     from synth.design.multi_objective.design import with_individual_optima
     from synth.design.multi_objective.plant_goals import goals_of_plants
 

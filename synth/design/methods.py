@@ -1,4 +1,4 @@
-"""Choice of the design methods for a problem, and `design`, which runs them.
+"""Choice of the design methods for a problem, and `design`, which runs the methods.
 
 A method is a function in its own file, and a row in `EXTENSIONS` of `models.common.extensions`:
 
@@ -30,7 +30,7 @@ LARGEST_BOUNDED = 20
 
 
 def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Returns the methods that are tried until one succeeds, and the methods that then continue from its result."""
+    """Returns two lists of methods: methods that are tried until one succeeds, and methods that then continue from the result."""
     if problem.method:
         return (problem.method,), ()
     if problem.errors is not None:
@@ -54,9 +54,10 @@ def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
     """Returns the reason why descent must follow the two steps, as text; empty if no descent is needed.
 
-    The two steps ignore noise. The gain is based on the X of problem (22). The state feedback of this problem uses every state,
-    including filter states that y does not contain and that no control changes. With filters, descent therefore
-    continues from the result of the two steps. Descent also continues if the norm is larger than the norm without control.
+    The two steps ignore noise. The two steps compute the gain from the matrix X of problem (22). The state feedback of problem
+    (22) uses every state, including filter states that y does not contain and that no control changes. With filters, descent
+    therefore continues from the gain of the two steps. Descent also continues if the norm of the loop is larger than the norm
+    without control.
     """
     plant, certificate = problem.plant, steps.certificate
     norm = certificate.norm.value
@@ -80,10 +81,11 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
     """Designs a controller by the methods that `choose` selects for a problem.
 
     Args:
-        progress: function that is called with the best value so far, and with True if all bounds are fulfilled.
+        progress: function that is called with the smallest value of the goal so far, and with True if all bounds are fulfilled.
 
     Raises:
-        InfeasibleError: no such controller stabilises the plant; the message describes the mode that cannot be stabilised.
+        InfeasibleError: no controller of the required type stabilises the plant; the message describes the mode that cannot be
+            stabilised.
         DesignError: no method found a controller; the message gives the reason.
     """
     tries, further = (tuple(name for name in names if name in METHODS) for names in choose(problem))

@@ -52,15 +52,17 @@ def quiet(value: float, within: bool) -> None:
 
 @dataclass(frozen=True, eq=False)
 class WellPosedProblem:
-    """Problem (22) of a plant, regularised if it is degenerate.
+    """Problem (22) of a plant, regularised if (22) is degenerate.
 
     Attributes:
-        plant: plant for which the design is made, which is the given plant unless its problem is degenerate.
+        plant: plant for which the controller is designed; this is the given plant unless the problem of the given plant is
+            degenerate.
         case: description of the degeneracy of the given problem; empty if the problem is not degenerate.
         best: state gain that is known to be optimal, shape (m, n); None if no such gain is known.
         best_case: description of the degeneracy that makes `best` optimal.
-        regular: True if w acts on a state, and every state affects z, both without control and with the gain -D^+ C. No mode
-            can then be hidden from z. If a force has no weight, (22) may still have no optimum.
+        regular: True if w acts on a state, and every state affects z, both without control and with the gain -D^+ C. If
+            `regular` is True, no mode can be hidden from z. Even if `regular` is True, (22) may have no optimum because a force
+            has no weight.
     """
 
     plant: Plant
@@ -80,9 +82,9 @@ class DesignProblem:
 
     Attributes:
         plant: plant with n states, m inputs and q measurements y = C_y x + Dyw w.
-        order: "static" for a gain, or "full" for a law with as many states as the plant. If a `structure` is given, the order
-            of this structure is used.
-        structure: structure of a law with fewer states than the plant; None if there is no such structure.
+        order: "static" for a gain, or "full" for a law with as many states as the plant. If `structure` is given, the order of
+            this structure is used instead.
+        structure: structure of a law with fewer states than the plant; None if no structure is required.
         design: name in `DESIGNS`, such as "h2" to minimise the mean square of z. If the name is empty, the H-infinity norm is
             minimised.
         method: name in `METHODS` of the only method to use. If the name is empty, `choose` selects the methods.
@@ -94,23 +96,23 @@ class DesignProblem:
         sampled: sampled-data problem, in which w does not contain the measurement noise; None to design for the ideal
             continuous loop.
         sampled_bound: lower bound on the norm of the sampled-data loop, if it is known.
-        known: laws from which a search starts. For a static gain of the sampled-data loop, these are gains designed for the
-            ideal loop.
+        known: laws from which a search starts. For a static gain of the sampled-data loop, these laws are gains designed for
+            the ideal loop.
         near: estimate of the norm of the sampled-data loop, from which the search for this norm starts.
         goals: norm to minimise and bounds to fulfil in the design of a static gain; None for a design without goals.
         errors: plant with frequency-weighted uncertainties, for a design of robust performance; None for other designs.
         alternatives: True to compute a lower bound for a static gain, and to continue the design if the two steps end above
-            this bound. Another method is then also used if Riccati equations fail. For a vehicle file, this is False, so that
-            the result of the two steps is not changed.
-        thorough: True to compute the lower bound of a sampled-data loop, and to report what is not proved for a family of
-            plants.
-        lower_bound: lower bound on the norm of every controller from these measurements, if known.
+            this bound. If `alternatives` is True, another method is also used if Riccati equations fail. For a vehicle file,
+            `alternatives` is False, so that the result of the two steps is not changed.
+        thorough: True to compute the lower bound of a sampled-data loop, and to report which properties are not proved for a
+            family of plants.
+        lower_bound: lower bound on the norm of every controller that uses the measurements, if known.
         states: names of the states, used in error messages.
         path: function that returns the central path of (22) if it is known, or raises a DesignError.
         as_run: function that converts a designed law to the law that is executed, for example to a law that subtracts forces
             from its measurements.
         certify: function that returns the certificate of a law in the form in which it is executed. Default: the certificate of
-            the closed loop of this law and the plant.
+            the closed loop of the law and the plant.
         work: counter of the computing work of all searches. Default: each search has its own counter.
         start: result of the previous method, from which the next method continues; None for the first method.
         failure: error that the previous method raised, if it found no controller.
@@ -144,7 +146,7 @@ class DesignProblem:
     failure: Exception | None = None
 
     def starting(self, start: "DesignResult") -> "DesignProblem":
-        """Returns this problem with the result from which the next method continues."""
+        """Returns the problem, extended by the result from which the next method continues."""
         return replace(self, start=start)
 
     def certified(self, law: LinearLaw) -> Certificate:
@@ -173,29 +175,29 @@ class DesignResult(ShownResult):
         remarks: notes on the gap to the optimum, on assumptions, and on unused measurements.
         value: value of the minimised objective. Default: the norm in the certificate.
         criterion: name of the minimised objective: "norm", "sampled norm", "H2 norm", or a goal.
-        sampled_lower_bound: lower bound on the sampled norm of controllers of any order at this sample period and delay. None
-            if there is no sample period, or if no bound is proved.
+        sampled_lower_bound: lower bound on the sampled norm of controllers of any order, for the sample period and delay of the
+            problem. None if there is no sample period, or if no bound is proved.
         level: upper bound on the sampled norm that the LMI of the two-step method gives; None for other designs.
-        redundant: indices of the measurements that are linear combinations of other measurements. The gain on these
+        redundant: indices of the measurements that are linear combinations of other measurements. The gain on redundant
             measurements is zero.
         case: description of the degeneracy of (22), for which no gain or every gain is optimal; empty if (22) is not
             degenerate.
-        instead: name of the fallback method, and the reason why the two steps found no gain, as text; empty if they found a
-            gain.
+        instead: text with the name of the fallback method, and the reason why the two steps found no gain; empty if they found
+            a gain.
         state_step_gap: relative gap in gamma between the optimum of (22) and the point of the central path whose X gives L
-            (14). This gap is 0 at the limit of the path. The gap is larger if the second problem has no solution for the X at
+            (14). The gap is 0 at the limit of the path. The gap is larger if the second problem has no solution for the X at
             the limit.
-        optimum_gap: relative gap in gamma between the gain and the optimum of its own problem. This gap is 0 at the limit of
-            the central path. The gap is larger if gains near the optimum have poles that are too fast for an actuator.
-        moved: last change of the gain along its central path, relative to the largest entry of the gain. This change is about a
-            hundred times the distance to the limit of the path. This change is at most 4e-5 for the built-in cars, and for the
-            two steps of a chain of 40 states. For chains of 26 and 40 states, however, the state-feedback gain still grows a
-            hundredfold if the path parameter mu decreases by a factor of a hundred. The norm of this gain is proved, but no
-            digit of the gain agrees with the optimal gain.
+        optimum_gap: relative gap in gamma between the gain and the optimum of its own problem. The gap is 0 at the limit of the
+            central path. The gap is larger if gains near the optimum have poles that are too fast for an actuator.
+        moved: last change of the gain along its central path, relative to the largest entry of the gain. The last change is
+            about a hundred times the distance to the limit of the path. The last change is at most 4e-5 for the built-in cars,
+            and for the two steps of a chain of 40 states. For chains of 26 and 40 states, however, the state-feedback gain
+            still grows a hundredfold if the path parameter mu decreases by a factor of a hundred. The norm of the
+            state-feedback gain is proved, but no digit of this gain agrees with the optimal gain.
         origin: description of the starting point from which the search found the law; empty if there was no search.
         two_steps: result of the two steps, if the search for a static gain also started from this result; otherwise None.
-        starts: number of other stable points from which this search started.
-        preview: force from the road ahead, which is added to the force of the law; None if there is no preview.
+        starts: number of other stable points from which the search for a static gain started.
+        preview: force that is computed from the road ahead and added to the force of the law; None if there is no preview.
         without: value that the objective would have without preview.
         trade: Pareto front of the norm and the speed of full-order laws, the slowest first. The front is empty if the law is
             close to the lower bound and not fast. For a discrete plant, the laws belong to its continuous counterpart.
@@ -238,7 +240,7 @@ class DesignResult(ShownResult):
     def stable(self) -> bool:
         """True if the law itself is stable.
 
-        The states of an unstable law grow when the loop is open, for example when a force saturates.
+        The states of an unstable law grow when the loop is open, for example while a force is saturated.
         """
         return is_stable(self.law.A, self.law.sample_period)
 
@@ -275,7 +277,7 @@ class DesignResult(ShownResult):
 
     @property
     def figures(self) -> "tuple[Figure, ...]":
-        """Plot of the largest singular value of the closed loop over frequency."""
+        """Plot of the largest singular value of the closed loop against frequency."""
         return self.certificate.figures
 
 

@@ -1,25 +1,26 @@
 """Designs for the sampled-data loop, which apply the methods for ideal loops to a discrete plant.
 
 For every value of the L2 gain of the sampled-data loop, called a level, there is a discrete plant
-(`synth/analysis/sampled_loop.py`). The states of this plant include the delayed forces, and the disturbances include the
-measurement noise. A law for this plant therefore takes into account the delay, the hold and the motion between samples.
-`by_levels` searches for the lowest level. A method designs a law at one level. The exact norm of the sampled-data loop with
-this law (`synth/analysis/sampled_norm.py`) becomes the next level.
+(`synth/analysis/sampled_loop.py`). The states of the discrete plant include the delayed forces, and its disturbances include
+the measurement noise. A law for the discrete plant therefore takes into account the delay, the hold and the motion between
+samples. `by_levels` searches for the lowest level. A method designs a law at one level. The exact norm of the sampled-data loop
+with the designed law (`synth/analysis/sampled_norm.py`) becomes the next level.
 
-- Full order: Riccati equations. The first level is the lowest level at which these equations have a solution; bisection finds it.
+- Full order: Riccati equations. The first level, found by bisection, is the lowest level at which the Riccati equations have a
+  solution.
 - A given order or structure: descent. The first level is near the lower bound. At each later level, descent starts from the
   law found at the previous level.
 - A static gain: the paper's two steps, followed by descent. Each step searches for the level at which the optimal norm of the
-    discrete plant is 1, by the secant method in logarithms. The X of the state feedback (22) at the level of the first step
-    gives L (14). The second step (25) has its own level. Every optimum is the limit of a central path. The gain is therefore
-    unique, and depends neither on a solver nor on units.
+  discrete plant is 1, by the secant method in logarithms. The X of the state feedback (22) at the level of the first step gives
+  L (14). The second step (25) has its own level. Every optimum is the limit of a central path. The gain is therefore unique,
+  and depends neither on a solver nor on units.
 
-The delayed forces are states that no measurement contains. L determines how the delayed forces are estimated. If L is based on
-the optimal state feedback, the second step may have no solution. A solution may still exist if L is based on another gain that
-is equally good. Descent on the exact norm then starts from the results and from the continuous design, and the result with the
-lowest norm is used. The gain of the two steps is kept if descent hardly lowers its norm. If the two steps find no gain, or if
-the plant without control has a lower norm, descent starts from all known gains. A remark then gives the reason. The two steps
-ignore measurement noise; descent takes it into account.
+The delayed forces are states that no measurement contains. The matrix L determines how the delayed forces are estimated. If L
+is based on the optimal state feedback, the second step may have no solution. A solution may still exist if L is based on
+another gain that is equally good. Descent on the exact norm then starts from the gains of the two steps and of the continuous
+design. The gain with the lowest norm is used. The gain of the two steps is kept if descent hardly lowers its norm. If the two
+steps find no gain, or if the plant without control has a lower norm, descent starts from all known gains. A remark in the
+result then gives the reason. The two steps ignore measurement noise, but descent takes the noise into account.
 
 The norm has several local minima if the phase of a mode of the plant advances by a considerable part of a turn within a sample
 period. A gain that is good for a short period may make the loop unstable for a long period. Descent therefore starts at the
@@ -102,7 +103,7 @@ LawWithRemarks = tuple[LinearLaw, tuple[str, ...]]  # a law, and the remarks abo
 
 
 class SampledLaw(NamedTuple):
-    """Law that was designed, the exact norm of the sampled-data loop with this law, and remarks on the design."""
+    """Law that was designed, exact norm of the sampled-data loop with this law, and remarks on the design."""
 
     law: LinearLaw
     norm: float
@@ -126,15 +127,16 @@ def by_levels(
 ) -> tuple[SampledLaw, bool]:
     """Designs a law at one level after another.
 
-    Returns the law with the lowest sampled norm, and True if `ended` ended the search.
+    Returns the law with the lowest sampled-data norm, and True if the function `ended` stopped the search.
 
     Args:
-        level: first level. Each later level is the norm that the law of the previous level reaches.
+        level: first level. Each later level is the norm of the sampled-data loop with the law that was designed at the previous
+            level.
         method: function that designs a law for the plant of a level, starting from the best law so far. The function returns
             the law and remarks.
-        ended: function of the norm that a law reaches, the level of its design, and the lowest earlier norm. The function
-            returns True if another level would bring no improvement.
-        best: a law that is already known, if any.
+        ended: function of three values: the norm that a law reaches, the level at which it was designed, and the lowest earlier
+            norm. The function `ended` returns True if another level would bring no improvement.
+        best: best law that is already known; None if no law is known.
         levels: largest number of levels.
         higher: factor by which the level is multiplied if no law was found.
         work: counter of the computing work that is spent on norms; no new level begins after its limit is exceeded.
@@ -199,7 +201,7 @@ def _bound(problem: DesignProblem, near: float) -> SampledBound | None:
 
 
 def _result(problem: DesignProblem, found: SampledLaw, bound: SampledBound | None, **more: Any) -> DesignResult:
-    """Returns the design result of a law, with the certificate of its ideal loop.
+    """Returns the design result for a law, with the certificate of the ideal loop with this law.
 
     Raises:
         DesignError: the law has no counterpart in continuous time.
@@ -213,7 +215,7 @@ def _result(problem: DesignProblem, found: SampledLaw, bound: SampledBound | Non
 
 
 def _design_at_level(problem: DesignProblem, held: SampledDataProblem, plant: Plant, **more: Any) -> LawWithRemarks:
-    """Designs a law for the plant of a level, as for any discrete plant. Returns the law and remarks."""
+    """Designs a law for the plant of a level, as for any discrete plant. Returns the law, and remarks on the design."""
     m, states = held.plant.B.shape[1], problem.states
     if states:
         states = *states, *(f"force_{k + 1}_of_{held.stored_forces}_before" for k in range(held.stored_forces) for _ in range(m))
@@ -234,7 +236,9 @@ def _design_at_level(problem: DesignProblem, held: SampledDataProblem, plant: Pl
 
 
 def _full(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float) -> tuple[SampledLaw, str]:
-    """Returns a full-order law with a norm within 0.1 % of the lower bound or, with a remark, the law with the closest norm."""
+    """Returns a full-order law with a norm within 0.1 % of the lower bound or, with a remark, the law whose norm is closest to
+    this bound.
+    """
     goal = bound.level if bound is not None else 0.0
     least, first = lowest_level(held, goal * (1 + ABOVE * bound.inside) if bound is not None else near, goal)
 
@@ -268,7 +272,7 @@ def _design_structured(
 
 
 def _above(found: SampledLaw, goal: float) -> str:
-    """Describes, as text, the gap between a law's norm and the lower bound."""
+    """Describes the gap between a law's norm and the lower bound."""
     return f"{percent(found.norm / goal - 1)} above the lower bound of the sampled loop" if goal else NO_BOUND
 
 
@@ -347,12 +351,14 @@ End = tuple[Array, float]  # gain, shape (m, q), and norm of the sampled-data lo
 
 
 def lowest(ends: Sequence[End]) -> End:
-    """Returns the gain with the lowest norm, and this norm."""
+    """Returns the gain with the lowest norm among several gains, and this norm."""
     return min(ends, key=lambda end: end[1])
 
 
 def down(held: SampledDataProblem, K: Array, norm: float, work: Work | None = None) -> End:
-    """Descends from a stabilising K, as `refine` does, on the plants of decreasing levels, until `work` reaches its limit."""
+    """Lowers the norm by descent from a stabilising gain K, as `refine` does, on the plants of decreasing levels, until `work`
+    reaches its limit.
+    """
 
     def method(plant: Plant, level: float, law: LinearLaw | None) -> LawWithRemarks:
         return static_law(lower_norm(Landscape(plant, work=work), plant, law.D if law else K).gain), ()
@@ -365,7 +371,8 @@ def best_descent(held: SampledDataProblem, known: Sequence[Array], near: float, 
     """Returns the best gain that descent finds, and its norm; the norm is infinite if no starting point is stable.
 
     Args:
-        known: gains from which descents start, shapes (m, q). The line through zero and the first gain is searched.
+        known: gains from which descents start, shapes (m, q). The line through zero and the first gain is searched for starting
+            points.
         near: estimate of the norm, from which the computation of the norm starts.
         work: counter of the computing work of the search.
     """
@@ -386,9 +393,9 @@ def better_valley(held: SampledDataProblem, end: End, far: float, work: Work) ->
     Returns the new gain if its norm is at least 0.1 % lower, otherwise the given gain.
 
     Args:
-        end: given gain and its norm. The norm is infinite if the gain does not stabilise the loop.
-        far: a level far above the norm, for which a discrete plant exists. The norm of this plant is nearly proportional to the
-            norm of the sampled-data loop.
+        end: best gain so far, and the norm with this gain. The norm is infinite if the gain does not stabilise the loop.
+        far: a level far above the norm, for which a discrete plant exists. The norm of the discrete plant is nearly
+            proportional to the norm of the sampled-data loop.
         work: counter of the computing work of the search.
     """
     K, norm = end
@@ -409,7 +416,7 @@ def better_valley(held: SampledDataProblem, end: End, far: float, work: Work) ->
 
 
 def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refinement:
-    """Lowers the exact norm by descent from a stabilising gain, as far as a larger gain is worthwhile.
+    """Lowers the exact norm by descent from a stabilising gain, as long as the decrease justifies a larger gain.
 
     Args:
         held: sampled-data problem.
@@ -439,7 +446,8 @@ def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refineme
 def _gain(
     held: SampledDataProblem, near: float, known: Sequence[Array], far: float, work: Work
 ) -> tuple[Array, float, float | None, str]:
-    """Returns K for independent measurements, its norm, its level, and the reason if the result is not from the two steps.
+    """Returns the gain K for independent measurements, its norm, its level, and the reason if K does not come from the two
+    steps.
 
     Args:
         far: a level far above the norm, for which a discrete plant exists.
@@ -497,7 +505,7 @@ def _at_the_limit(held: SampledDataProblem, norm: float) -> bool:
 
 
 def _may_fall(held: SampledDataProblem, norm: float) -> bool:
-    """Returns True if a lower norm is worth searching for: no lower bound within 1 % is known, and the loop has few states."""
+    """Returns True if a search for a lower norm pays: no lower bound within 1 % is known, and the loop has few states."""
     if len(held.rows[0]) > LARGEST_BOUNDED:
         return False
     plant = held.at(norm * (1 - LITTLE)) if np.isfinite(norm) else None
@@ -509,13 +517,13 @@ def _may_fall(held: SampledDataProblem, norm: float) -> bool:
 
 
 def two_steps(held: SampledDataProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
-    """Designs K by the two steps, which ignore measurement noise. Returns K and its level.
+    """Designs a gain K by the two steps, which ignore measurement noise. Returns K and its level.
 
     Args:
         held: sampled-data problem without noise, with independent measurements.
         near: level at which the search starts.
-        undelayed: gain of a design without delay, shape (m, q). If this gain is given, a second L (14) is tried, which assumes
-            that the delayed forces were computed by this gain.
+        undelayed: gain of a design without delay, shape (m, q). If `undelayed` is given, a second L (14) is tried, under the
+            assumption that this gain computed the delayed forces.
 
     Raises:
         DesignError: one of the steps has no solution, or a central path could not be followed.
@@ -551,7 +559,9 @@ def two_steps(held: SampledDataProblem, near: float, undelayed: Array | None) ->
 
 
 def _follows(X: Array, rows: Array) -> Array:
-    """Returns R (9) for the L (14) of a given X, shape (n, q). R y is an estimate of the states from the measurements."""
+    """Returns the matrix R of (9) for the L (14) that belongs to a given X, shape (n, q). The product R y is an estimate of the
+    states from the measurements y.
+    """
     return X @ rows.T @ np.linalg.inv(rows @ X @ rows.T)
 
 
@@ -568,10 +578,11 @@ def _second(plant: Plant, R: Array) -> CentralPoint:
 def _level(
     problem: SampledDataProblem, path: Callable[[Plant], list[CentralPoint]], start: float
 ) -> tuple[float, list[CentralPoint]]:
-    """Returns the level for which the central path of the discrete plant ends at a norm of 1, and this path.
+    """Returns the level for which the central path of the discrete plant ends at a norm of 1, and the central path for this
+    level.
 
-    If the path ends below 1 at every level above the largest gain within one period, this gain is the level. If a problem has
-    no solution at a level far above the norm, it has no solution at lower levels either.
+    If the path ends at a norm below 1 for every level above the largest gain within one period, the level is equal to this
+    gain. If a problem has no solution at a level far above the norm, it has no solution at lower levels either.
     """
     below, above, level, grow = 0.0, math.inf, start, GROW
     seen = list[tuple[float, float]]()
@@ -620,7 +631,8 @@ def _level(
 
 
 def _crossing_level(seen: Sequence[tuple[float, float]]) -> float:
-    """Returns the level at which the norm is 1, by a polynomial for log level in log norm; NaN if two norms are equal.
+    """Returns the level at which the norm is 1, from a polynomial for log level as a function of log norm; NaN if two norms are
+    equal.
 
     If only one pair of norm and level is known, the norm is assumed to be inversely proportional to the level.
     """

@@ -5,10 +5,10 @@ search cannot guarantee a global optimum, because the problem is not convex. Two
 minimum:
 
 - Many starting gains (`descent/starts.py`): no control, random gains of every magnitude, and the refined result of the paper's
-  two steps. If few random gains are stable, stabilising gains are added. From all these gains, the search descends for a few
-  rounds. The search continues from the best results for more rounds, and from the best result of all until the descent
-  converges. The descent (`descent/minimax.py`) handles the edges of the nonsmooth norm, uses its curvature, and scales the
-  coordinates so that all directions have a similar effect.
+  two steps. If few random gains stabilise the loop, further stabilising gains are added. From all starting gains, the search
+  descends for a few rounds. The search continues from the best results for more rounds, and from the best result of all until
+  the descent converges. The descent (`descent/minimax.py`) handles the edges of the nonsmooth norm, uses its curvature, and
+  scales the coordinates so that all directions have a similar effect.
 - Additional descents that start near the best gain.
 
 A result is never replaced by a worse result. The final norm is therefore not larger than the norm of the refined two-step gain
@@ -72,7 +72,7 @@ LIMIT = 3e4
 
 
 class Candidate(NamedTuple):
-    """Point with a stable loop, its norm, and the start from which it was found."""
+    """Point with a stable loop, norm of this loop, and starting point from which the search found it."""
 
     x: Array
     norm: float
@@ -100,18 +100,18 @@ def static_output_feedback(
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: measurement matrix, shape (q, n). Default: the Cy of the plant. The gain on a row that depends linearly on other
-            rows is zero.
-        largest_gain: largest allowed |K_ij|, in the units of the plant. This limit keeps the gain finite if the norm continues
+        Cy: measurement matrix, shape (q, n). Default: the Cy of the plant. If a row of C_y depends linearly on other rows, the
+            gain on this row is zero.
+        largest_gain: largest allowed |K_ij|, in the units of the plant. The limit keeps the gain finite if the norm continues
             to decrease as the gain grows. The search works in balanced coordinates, but a change of units changes the meaning
-            of this limit and may lead to another local minimum.
-        lower_bound: lower bound on the norm of every such controller. The search ends early if the norm is close to this bound,
-            and the certificate contains the bound.
+            of the limit and may lead to another local minimum.
+        lower_bound: lower bound on the norm with every static gain. The search ends early if the norm is close to the lower
+            bound, and the certificate contains this bound.
         Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). Default: zero if Cy is given, otherwise
             the Dyw of the plant. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting
             points.
-        rival: norm that another design reaches. The search ends early if the norms of the gains found stay far above this norm.
-            Default: infinity, if there is no other design.
+        rival: norm that is reached by another design. The search ends early if the norms of the gains found stay far above
+            `rival`. Default: infinity, if there is no other design.
 
     Returns:
         The law u = K y with K of shape (m, q), its certificate, and the starting point from which it was found.
@@ -156,8 +156,8 @@ def design_by_descent(
     Args:
         plant, largest_gain, lower_bound, rival: arguments of `static_output_feedback`.
         two_steps: result of the two-step method, or the reason why it found no gain.
-        limits: bounds on the entries of the gain in the units of `Landscape`. In these units, a gain of 1 moves poles to about
-            the speed of the plant's own poles.
+        limits: bounds on the entries of the gain in the units of `Landscape`. In the units of `Landscape`, a gain of 1 moves
+            poles to about the speed of the plant's own poles.
         work: common counter of the computing work of all searches. Default: each search has its own `bounded_work`.
 
     Returns:
@@ -201,10 +201,10 @@ class GainSearch:
     ) -> None:
         """Args:
         largest_gain: largest allowed |K_ij|, in the units of the plant.
-        lower_bound: lower bound on the norm for this type of controller; 0 if no bound is known.
+        lower_bound: lower bound on the norm that the search can reach; 0 if no bound is known.
         structure: mask of the gain entries that may be nonzero, as in `Landscape`.
-        alike: function that returns an equivalent point with the same closed loop. The entries of this point are compared with
-            the limit.
+        alike: function that returns an equivalent point with the same closed loop. The entries of the equivalent point are
+            compared with the limit.
         enough: relative gap between the norm and its lower bound below which the search ends.
         rival: norm that another design reaches, as in `static_output_feedback`.
         work: counter of the computing work of the search. A descent ends if the limit of this counter is exceeded. Default: no
@@ -230,7 +230,7 @@ class GainSearch:
     def starts(self, most: int = MOST) -> list[Candidate]:
         """Returns stable starting points with gains of many magnitudes.
 
-        If no stable point is found, more stabilising starts are tried, up to `most`.
+        If no stable point is found, more stabilising starting points are tried, up to `most`.
         """
         sampled = survey(self.landscape, self.limit)
         candidates = self.feasible_candidates(np.zeros_like(self.limit), "no control")
@@ -281,7 +281,9 @@ class GainSearch:
         return least * K
 
     def successive_halving(self, candidates: list[Candidate]) -> Candidate:
-        """Returns the best candidate by successive halving: brief descents from all candidates, longer ones from the best."""
+        """Returns the best candidate by successive halving: brief descents from all candidates, longer descents from the best
+        candidates.
+        """
         n, best = len(self.plant.A), sorted(candidates, key=lambda each: each.norm)
         most = AGAINST if np.isfinite(self.rival) else ALL if n <= LARGE else max(1, int(MOST_STARTS * (LARGE / n) ** 3))
         for rounds, count, behind in HEATS:

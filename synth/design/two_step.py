@@ -4,13 +4,13 @@
 
 Step 1 designs a state feedback u = G_s x: it maximises eta = norm^-2 subject to an LMI in X and Y. For u = K y, X and Y must
 also fulfil Y X^-1 = K C_y (8), which is not a convex condition. Step 2 therefore maximises eta only over pairs X, Y of the form
-(12). These pairs form a convex set for every matrix L, and each pair gives a gain K. If L is given by (14), the X of step 1 has
-the form (12). The optimum of each step is the limit of its central path (`synth.lmi.central_path`), which depends neither on a
-solver nor on units.
+(12). Pairs of the form (12) are a convex set for every matrix L, and each pair gives a gain K. If L is given by (14), the X of
+step 1 has the form (12). The optimum of each step is the limit of its central path (`synth.lmi.central_path`), which depends
+neither on a solver nor on units.
 
 The functions above `well_posed` implement the formulas of the paper. The functions below `well_posed` choose independent
-measurements and units. If step 2 has no solution for the optimal X of step 1, these functions use the X of an earlier point on
-the central path. `synth.design.degenerate` treats plants whose problem (22) has no optimum.
+measurements and units. If step 2 has no solution for the optimal X of step 1, the functions below `well_posed` use the X of an
+earlier point on the central path. `synth.design.degenerate` treats plants whose problem (22) has no optimum.
 """
 
 import contextlib
@@ -55,14 +55,16 @@ def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
 
 
 def nullspace(Cy: Array) -> Array:
-    """Returns Q, an orthonormal basis of the nullspace of C_y, shape (n, n - q). K does not depend on the choice of basis."""
+    """Returns Q, an orthonormal basis of the nullspace of C_y, shape (n, n - q). The gain K does not depend on the choice of
+    this basis.
+    """
     return linalg.null_space(unit_rows(Cy)[0])
 
 
 def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
     """Returns L = Q^+ X C_y' (C_y X C_y')^-1, shape (n - q, q), equation (14).
 
-    With this L, R = X C_y' (C_y X C_y')^-1, and X = Q X_Q Q' + R X_R R' (12) with X_R = C_y X C_y'.
+    With L from (14), R = X C_y' (C_y X C_y')^-1, and X = Q X_Q Q' + R X_R R' (12) with X_R = C_y X C_y'.
 
     Args:
         X: matrix X that solves the state-feedback problem (22), shape (n, n).
@@ -97,7 +99,7 @@ def output_feedback(plant: Plant, L: Array, Q: Array) -> list[CentralPoint]:
         Q: basis of the nullspace of C_y, shape (n, n - q).
 
     Raises:
-        NoSolutionError: (25) has no solution with eta > 0 for this L.
+        NoSolutionError: (25) has no solution with eta > 0 for the given L.
     """
     R = r_matrix(plant.Cy, Q, L)
     try:
@@ -142,7 +144,9 @@ NO_GAIN = "no static gain found"
 
 
 def no_gain(tried: str, more: str = "") -> str:
-    """Returns a message for a search that found no stabilising static gain: advice, followed by what was tried."""
+    """Returns an error message for a search that found no stabilising static gain: advice, followed by a list of what was
+    tried.
+    """
     return f'{NO_GAIN}; measure more signals, {more}or give order = "full", a law with states (tried: {tried})'
 
 
@@ -154,8 +158,8 @@ def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
 
     Raises:
         InfeasibleError: the plant cannot be stabilised; the message describes the mode that cannot be stabilised.
-        DesignError: there is no central path, or the path could not be followed; the message gives the reason. For example, an
-            integrator does not affect z, or a control force has no weight.
+        DesignError: there is no central path, or the path could not be followed; the message gives the reason. For example, no
+            path exists if an integrator does not affect z, or if a control force has no weight.
     """
     problem, plant = well_posed(plant), plant.unmeasured
     own = own_units(plant)
@@ -175,14 +179,14 @@ def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
 
 @numerics()
 def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: KnownBound = None) -> DesignResult:
-    """Designs the state feedback with the smallest norm, the optimum of (22).
+    """Designs the state feedback with the smallest norm, which is the optimum of (22).
 
     Args:
         path: central path from `state_path`; if empty, the path is computed.
-        lower_bound: lower bound on the norm of every state feedback; the certificate contains it.
+        lower_bound: lower bound on the norm of every state feedback; the certificate contains this bound.
 
     Raises:
-        InfeasibleError, DesignError: `state_path` raises this error, or no certificate holds.
+        InfeasibleError, DesignError: `state_path` raises this type of error, or no certificate holds.
     """
     problem, measured = well_posed(plant), plant.measured(np.eye(len(plant.A)))
     if problem.best is not None:
@@ -195,8 +199,8 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: K
 def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound: KnownBound = None) -> DesignResult:
     """Returns the last gain of a central path whose certificate holds and whose loop is slow enough for actuators.
 
-    All certified loops may be too fast compared with the plant, for example if the plant hardly moves without control. In this
-    case, the reference for speeds is the slowest of these loops, and not the plant.
+    The loops of all certified gains may be too fast compared with the plant, for example if the plant hardly moves without
+    control. If all certified loops are too fast, speeds are compared with the slowest of these loops, and not with the plant.
 
     Raises:
         DesignError: no certificate holds.
@@ -243,15 +247,16 @@ def two_step_design(
     """Designs a static gain by the paper's two-step method: the X of (22) gives L (14), with which (25) gives the gain.
 
     The result includes the certificate of the gain. The second problem (25) may be infeasible for the optimal X, but feasible
-    for the X of an earlier point on the central path. In this case, the X of the last feasible point is used. The plant is
-    first scaled to internal units, so that the result does not depend on the units of the plant.
+    for the X of an earlier point on the central path. The X of the last point at which (25) is feasible is then used. The plant
+    is first scaled to internal units, so that the result does not depend on the units of the plant.
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: matrix of the measurements y = C_y x, shape (q, n). Default: the Cy of the plant. The gain on rows that depend
-            linearly on other rows is zero.
+        Cy: matrix of the measurements y = C_y x, shape (q, n). Default: the Cy of the plant. If a row of C_y depends linearly
+            on other rows, the gain on this row is zero.
         path: central path of (22); if empty, the path is computed.
-        lower_bound: lower bound on the norm of every controller from these measurements; the certificate contains it.
+        lower_bound: lower bound on the norm of every controller that uses the measurements; the certificate contains this
+            bound.
         states: names of the states, used in error messages.
 
     Returns:
@@ -262,7 +267,7 @@ def two_step_design(
         InfeasibleError: no static gain from y stabilises the plant; the message describes the mode that cannot be stabilised.
         TooLargeError: (22) has more than 1100 optimisation variables (45 states with one input).
         DesignError: (25) has no solution for any X that was tried, a central path ended early, or no certificate holds. A
-            stabilising gain may still exist.
+            stabilising gain may exist even if a DesignError is raised.
 
     Example:
         >>> from synth import GeneralizedPlant, two_step_design
@@ -343,7 +348,7 @@ def independently_measured(plant: Plant) -> tuple[Plant, Plant, list[int]]:
 def with_redundant_rows(design: DesignResult, kept: Sequence[int], q: int, state_step_gap: float) -> DesignResult:
     """Converts a design for some of q measurements to a design for all q measurements.
 
-    The gain on the other measurements is zero.
+    The gain on measurements that the design does not use is zero.
     """
     law = unchecked_static_law(on_all_rows(design.gain, kept, q))
     redundant = tuple(i for i in range(q) if i not in kept)

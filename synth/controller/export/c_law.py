@@ -1,13 +1,14 @@
-"""Computation that is exported as code: the controller with the implementation in its vehicle file, and its equivalent in Python.
+"""Computation of a controller that is exported as code, with the implementation in the vehicle file, and the same computation
+in Python.
 
-The computation in each sample has these steps:
+In each sample period, the computation has these steps:
 
 1. An input that is not finite is replaced by its last finite value.
 2. Measurements are quantised.
 3. The forces of a linear law are summed over the measurements, then over the states, in the order of the matrix columns.
-4. The forces are limited, and then their changes per sample are limited. For semi-active dampers, this step converts the forces
-    to damping coefficients instead of limiting them.
-5. The next states are computed by sums in the same order.
+4. The forces are limited, and then their changes per sample are limited. For semi-active dampers, the forces are converted to
+   damping coefficients instead of being limited.
+5. The next states are computed as sums, which are also added in the order of the matrix columns.
 6. The outputs that were computed `delay` samples earlier are returned.
 
 A force or a state that overflows is set to 0. C and Python perform the same operations in the same order and number format.
@@ -46,19 +47,19 @@ KEYWORDS = frozenset(
 
 @dataclass(frozen=True, eq=False)
 class ExportedLaw:
-    """Controller in the form in which a computer in a car executes it.
+    """Controller in the form in which a vehicle's control computer executes it.
 
     Attributes:
         name: prefix of all names in the C code.
         controller: name of the controller in the vehicle file.
         numbers: number format: "double", "float", "int32" or "int16".
         period: sample period [s]; None for a law without states that needs no sample period.
-        inputs: names of the q measurements, followed by the velocities of suspensions with a semi-active damper.
+        inputs: names of the q measurements, followed by the names of the velocities of suspensions with a semi-active damper.
         units: units of the inputs.
         meanings: one-line description of each input.
         outputs: names of the m forces, or of the m damping coefficients.
         output_units: units of the outputs.
-        law: sampled linear law with k states; zero for a semi-active law.
+        law: sampled linear law with k states; a law with zero gains if the controller is semi-active.
         resolution: quantisation step of each measurement, shape (q,); 0 for a measurement that is not quantised.
         limit: largest allowed magnitude of each force [N]; None without limit.
         change: largest allowed change of a force per sample [N]; None without limit.
@@ -68,7 +69,7 @@ class ExportedLaw:
             [N s/m]; empty for force actuators.
         semi_active: name of the semi-active law; empty for a linear law.
         coefficients: parameters of the semi-active law; None for a linear law.
-        modes: number of measurements of body modes; they come before the measurements of the suspensions.
+        modes: number of measurements of body modes, which come before the measurements of the suspensions.
         ranges: largest magnitude of each measurement for fixed-point code, shape (q,); None for floating point.
         range_sources: text that describes the source of each range.
     """
@@ -124,7 +125,7 @@ class ExportedLaw:
 
     @property
     def readings(self) -> int:
-        """Number q of measurements, without the velocities of the suspensions."""
+        """Number q of measurements, not counting the velocities of the suspensions."""
         return len(self.resolution)
 
 
@@ -149,9 +150,9 @@ def exported_law(
         driver: controller of this vehicle.
         numbers: number format, as in `ExportedLaw`.
         name: prefix of all names in the C code.
-        ranges: largest magnitude of each measurement for fixed-point code, by name. Measurements with a proved peak may be
-            omitted.
-        sources: texts that state how ranges were found that the user did not give, by name of the measurement.
+        ranges: largest magnitude of each measurement, by its name; used for fixed-point code. Measurements whose peak is proved
+            may be omitted.
+        sources: description of the source of each range that the user did not give, by name of the measurement.
 
     Raises:
         InputError: the controller is a Python law or an FMU, has no sample period although it needs one, or controls dampers
@@ -221,7 +222,8 @@ def exported_law(
 
 
 def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:
-    """Returns, by name, the range of every measurement whose peak a goal bounds, and a description of the range's source.
+    """Returns the range of every measurement whose peak is bounded by a goal, and a description of the source of this range, by
+    name.
 
     The proved peak is valid for the ideal loop, so the factor `SPARE` allows for the effects of sampling and rounding. A
     measurement is clipped at its range.
@@ -240,7 +242,8 @@ def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:
 def _ranges(
     vehicle: Vehicle, driver: AnyController, given: Mapping[str, float], sources: Mapping[str, str]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Returns the fixed-point range of each measurement of a controller, shape (q,), and descriptions of their sources.
+    """Returns the fixed-point range of each measurement of a controller, shape (q,), and a description of the source of each
+    range.
 
     Raises:
         InputError: a measurement has no range, a range belongs to no measurement, or the controller acts on dampers.
@@ -291,13 +294,17 @@ class PythonStep:
         return [self._number(value) for value in values]
 
     def __call__(self, seen: Sequence[float]) -> list[Any]:
-        """Returns the outputs for the inputs of a sample; for fixed point, inputs and outputs are integers."""
+        """Returns the outputs that the law computes from the inputs of one sample; for fixed point, inputs and outputs are
+        integers.
+        """
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             self._line.append(self._computed(self._read(seen)))
         return self._line.pop(0)
 
     def _read(self, seen: Sequence[float]) -> list[Any]:
-        """Returns valid inputs: clipped for fixed point; otherwise, the last finite value replaces an invalid input."""
+        """Returns valid inputs: inputs are clipped for fixed point; otherwise, the last finite value replaces an input that is
+        not finite.
+        """
         values = self._all(seen)
         if (fixed := self.law.fixed) is not None:
             return [self._clipped(value, -fixed.largest, fixed.largest) for value in values]

@@ -49,7 +49,7 @@ def literal(numbers: str, value: float) -> str:
 
 
 def _loop(count: int, *lines: str) -> str:
-    """Returns a C loop over the index i; the given lines are the body of the loop."""
+    """Returns a C loop over the index i whose body consists of the given lines."""
     return f"for (i = 0; i < {count}; i++)\n{{\n" + indent("\n".join(lines), "    ") + "\n}"
 
 
@@ -162,8 +162,8 @@ class CSource:
         return "\n".join([f'#include "{self.p}.h"\n#include "{self.p}_data.h"\n', text, self._init(), self._step()])
 
     def template(self, name: str, **words: str) -> str:
-        """Returns the text of a file in the folder `c`. `PREFIX` is replaced by the name of the law, and each key of `words` by
-        its value.
+        """Returns the text of a template file in the folder `c`. In this text, `PREFIX` is replaced by the name of the law, and
+        each key of `words` by its value.
         """
         own = {"PREFIX": self.p, **words}
         return re.sub("|".join(own), lambda found: own[found[0]], (HERE / name).read_text(encoding="utf-8"))

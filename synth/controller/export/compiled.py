@@ -64,12 +64,14 @@ class ExportedCode:
 
     @property
     def record(self) -> dict[str, Any]:
-        """JSON object with the checksum, and the number format, prefix and ranges from which the code can be generated again."""
+        """JSON object with the checksum, and with the number format, prefix and ranges from which the code can be generated
+        again.
+        """
         law = self.law
         return {"numbers": law.numbers, "name": law.name, "ranges": law.largest, "manifest_sha256": self.sha256}
 
     def start(self) -> "CompiledStep":
-        """Returns the code in its initial state; the code is compiled at its first use.
+        """Returns the code with its initial state; the code is compiled when it is first used.
 
         Raises:
             InputError: there is no compiler, or the compiler rejects the code.
@@ -98,8 +100,8 @@ class CompiledStep:
 
     Attributes:
         seen: array of input values, in the order of the law's inputs; the caller fills it before each step.
-        given: array of output values that the last step computed.
-        x: array of the law's states after the last step.
+        given: array of output values that the last call of `step()` computed.
+        x: array of the law's states after the last call of `step()`.
         step: function that computes `given` and the next states from `seen`.
         state: bytes of the C struct that stores the state.
     """
@@ -120,9 +122,9 @@ class CompiledStep:
         self.fixed = law.fixed
 
     def read(self, seen: Array) -> None:
-        """Writes the i inputs, given in their physical units, shape (i,).
+        """Writes the i inputs to the compiled code; the inputs are in physical units, shape (i,).
 
-        For fixed point, the inputs are rounded and clipped, as an analogue-to-digital converter does.
+        For fixed point, the inputs are rounded and clipped, as by an analogue-to-digital converter.
         """
         if self.fixed is None:
             self.seen[...] = seen
@@ -142,7 +144,7 @@ class CompiledStep:
 
 
 def code_again(vehicle: Vehicle, driver: AnyController, record: Mapping[str, Any]) -> ExportedCode:
-    """Generates the exported code again from its controller and a record.
+    """Generates the exported code of a controller again, from a record of its number format, prefix and ranges.
 
     Args:
         vehicle: vehicle of the controller.
@@ -150,7 +152,7 @@ def code_again(vehicle: Vehicle, driver: AnyController, record: Mapping[str, Any
         record: description of the exported code, from `ExportedCode.record`.
 
     Raises:
-        InputError: the controller cannot be exported in this way.
+        InputError: the controller cannot be exported with the settings in the record.
     """
     law = exported_law(vehicle, driver, record["numbers"], record["name"], record["ranges"])
     return ExportedCode(law, CSource(law, "0" * 64).files, record["manifest_sha256"])

@@ -1,11 +1,12 @@
 """Fixed-point arithmetic: integers of 16 or 32 bits for measurements, states and forces, each with its own unit.
 
-The range of each measurement is given, and the measurement is clipped at its range. These ranges determine the peaks of the
-states, by sums over the responses of the states, and then the peaks of the forces. With units chosen for these peaks, no value
-can overflow. The unit of a quantity is its peak divided by the largest integer, rounded up to a power of two. If the range of a
-quantised measurement contains few enough quantisation steps, the quantisation step is used as its unit.
+The range of each measurement is known in advance, and the measurement is clipped at this range. The ranges of the measurements
+determine the peaks of the states, through sums of the state responses, and then the peaks of the forces. If the units are
+chosen for the peaks of the states and forces, no value can overflow. The unit of a quantity is its peak divided by the largest
+integer, rounded up to a power of two. If the range of a quantised measurement contains few enough quantisation steps, one
+quantisation step is the unit of the measurement.
 
-Each force and each next state is a sum of products of integer coefficients with integer measurements or states. The sum is
+Each force and each next state is a sum of products of integer coefficients with integer measurements or states. Each sum is
 computed in 64 bits without overflow, divided by 2^shift, rounded to the nearest integer (ties away from 0), and clipped.
 """
 
@@ -40,7 +41,7 @@ class FixedPoint:
         state_units: size of one integer step of each state, shape (k,).
         rows: integer coefficients, shape (m + k, q + k + m). The first m rows belong to the forces, the other rows to the next
             states. The columns belong to the measurements, the states, and the parts of the forces that a limit removes.
-        shifts: exponent for each row, whose sum is divided by 2^shift, shape (m + k,).
+        shifts: exponent for each row; the sum of the row's products is divided by 2 to this power, shape (m + k,).
         limit: largest allowed magnitude of each force, in the units `given`, shape (m,); None without limit.
         change: largest allowed change of each force per sample, in the units `given`, shape (m,); None without limit.
     """
@@ -137,7 +138,7 @@ def fixed_point(
 
 
 def _units(peaks: Array, largest: int) -> Array:
-    """Returns units that are powers of two and so large that no peak exceeds the largest integer."""
+    """Returns units that are powers of two, and so large that no peak, as a multiple of its unit, exceeds the largest integer."""
     return np.array([2.0 ** math.ceil(math.log2(peak / largest)) if peak > 0 else 1.0 for peak in peaks])
 
 

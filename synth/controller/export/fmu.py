@@ -103,7 +103,9 @@ def fmu(model: FmuModel, version: int, resources: Mapping[str, str], about: str)
 
 
 def functions_of(version: int) -> str:
-    """Returns the C source of all functions of a version of FMI. The template contains the names of FMI 3."""
+    """Returns the C source of all functions of a version of FMI. The template uses the function names of FMI 3, which are
+    replaced if the version is 2.
+    """
 
     def named(found: re.Match[str]) -> str:
         name = found[1]
@@ -116,7 +118,7 @@ def functions_of(version: int) -> str:
 
 
 def zip_files(files: Mapping[str, bytes]) -> bytes:
-    """Returns the bytes of a zip file. These bytes depend only on the names and contents of the files."""
+    """Returns the bytes of a zip file. The bytes depend only on the names and contents of the files."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
         for name in sorted(files):
@@ -127,7 +129,7 @@ def zip_files(files: Mapping[str, bytes]) -> bytes:
 
 
 def _binaries(sources: Mapping[str, str], compiled: Sequence[str], version: int) -> tuple[dict[str, bytes], str]:
-    """Returns the bytes of the binaries by folder, and a text that lists platforms for which no binary could be built."""
+    """Returns the bytes of the binaries by folder, and a text that lists the platforms for which no binary could be built."""
     with tempfile.TemporaryDirectory(prefix="fmu") as folder:
         place = Path(folder)
         for name, text in sources.items():
@@ -170,7 +172,9 @@ def _build_library(compiler: Sequence[str], place: Path, compiled: Sequence[str]
 
 
 def _universal(targets: Sequence[str], parts: Sequence[bytes]) -> bytes:
-    """Returns a Mach-O file that contains a part for each processor. A single part is returned unchanged."""
+    """Returns a Mach-O file that contains the library once for each type of processor. If there is only one library, this
+    library is returned unchanged.
+    """
     if len(parts) == 1:
         return parts[0]
     whole = bytearray(struct.pack(">II", FAT, len(parts)))

@@ -92,7 +92,7 @@ def _about(model: FmuModel) -> str:
 
 
 def _xml_attributes(attributes: Attributes) -> str:
-    """Returns attributes as XML; attributes that are None are omitted."""
+    """Returns attributes in XML syntax; attributes that are None are omitted."""
     return "".join(f" {name}={quoteattr(_text(value))}" for name, value in attributes.items() if value is not None)
 
 
@@ -138,7 +138,7 @@ def _rate(signal: Signal) -> str | None:
 
 
 def _variables(model: FmuModel, version: int) -> list[str]:
-    """Returns the variables in the order of their value references: inputs, outputs, states, derivatives.
+    """Returns the variables of an FMU in the order of their value references: inputs, outputs, states, derivatives.
 
     For FMI 3, the last variable is the time, which FMI 3 requires.
     """

@@ -30,9 +30,9 @@ class FmuModel:
         period: length that every simulation step must have [s]; None if steps may have any length.
         delay: delay from the inputs to the outputs [samples]; 0 if the FMU contains a linear system.
         start: outputs before the first step, shape (p,).
-        slopes: partial derivatives, shape (p + n, m + n); None for a sampled law. The first p rows belong to the outputs, the
-            other rows to the derivatives of the states. The first m columns belong to the inputs, the other columns to the
-            states.
+        slopes: partial derivatives of outputs and state derivatives with respect to inputs and states, shape (p + n, m + n);
+            None for a sampled law. The first p rows belong to the outputs, the other rows to the derivatives of the states. The
+            first m columns belong to the inputs, the other columns to the states.
         sources: C files of this model, by file name.
     """
 
@@ -95,7 +95,7 @@ def linear_model(identifier: str, title: str, vehicle: Vehicle, system: StateSpa
 
 
 def _head(inputs: int, outputs: int, states: int, more: str) -> str:
-    """Returns the text of fmu_model.h. The token in this text is inserted later, when all other files are known."""
+    """Returns the text of fmu_model.h. The token in fmu_model.h is inserted later, when all other files are known."""
     return (
         "/* The content of this FMU. */\n#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n"
         f'#define FMU_TOKEN "@TOKEN@"\n#define FMU_INPUTS {inputs}\n#define FMU_OUTPUTS {outputs}\n#define FMU_STATES {states}\n'

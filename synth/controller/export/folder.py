@@ -31,7 +31,7 @@ SAME = 1e-9  # allowed relative difference between two tables from different com
 
 
 def certificate(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> dict[str, Any]:
-    """Returns the content of certificate.json: the law, its tables as in the code, and the claims of the vehicle file."""
+    """Returns the content of certificate.json: the law, the tables of its code, and the claims of the vehicle file."""
     claims = vehicle.controllers[driver.name].certificate if driver.name in vehicle.controllers else None
     tables = {name: getattr(law.law, name) for name in MATRICES} | {"anti_windup": law.anti_windup}
     found: dict[str, Any] = {
@@ -231,7 +231,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], AnyController]
 
 
 def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyController]) -> list[AnyController]:
-    """Returns the controllers of a vehicle. The controller that was exported uses the code in the folder.
+    """Returns the controllers of a vehicle. The exported controller uses the code in the folder.
 
     Args:
         found: exported folder.
@@ -261,7 +261,7 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyContro
 
 
 def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: AnyController) -> bool:
-    """Returns True if exporting a controller with the name, number format and ranges of `law` gives the same law."""
+    """Returns True if a controller, exported with the name, number format and ranges of `law`, gives the same law again."""
     try:
         other = exported_law(vehicle, driver, law.numbers, law.name, law.largest)
     except InputError:  # this controller cannot be exported with these options
@@ -273,7 +273,7 @@ def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: AnyController) -> bool
 
 
 def _near(one: Array | None, other: Array | None) -> bool:
-    """Returns True if two tables are equal, except for differences in rounding between machines."""
+    """Returns True if two tables are equal, apart from rounding that differs between machines."""
     if one is None or other is None:
         return one is other
     return one.shape == other.shape and np.allclose(one, other, rtol=SAME, atol=SAME * np.abs(other).max(initial=0.0))

@@ -39,7 +39,7 @@ def loop_system(vehicle: Vehicle, controller: Controller) -> StateSpace:
 
 
 def signals_of(vehicle: Vehicle, names: Sequence[str]) -> tuple[Signal, ...]:
-    """Returns the inputs, states or outputs with the given names as signals, with units and meanings."""
+    """Returns signals for the inputs, states or outputs with the given names; each signal has a unit and a meaning."""
     model, kind = vehicle.linear_model, vehicle.kind
     known = {name: load_signal(name) for name in model.loads}
     lagged = zip(with_lag(vehicle).states[len(model.states) :], model.inputs, strict=False)
@@ -54,7 +54,9 @@ def signals_of(vehicle: Vehicle, names: Sequence[str]) -> tuple[Signal, ...]:
 
 
 def _with_heights(vehicle: Vehicle, plant: StateSpace) -> StateSpace:
-    """Returns the plant with the road heights that act on it as additional states: integrals of the road velocities."""
+    """Returns the plant with additional states: the heights of the roads that act on the plant, which are integrals of the road
+    velocities.
+    """
     roads, heights = vehicle.linear_model.disturbances, plant.columns(with_ending(vehicle.linear_model.disturbances, HEIGHT))
     B, D, r = plant.B[:, heights], plant.D[:, heights], len(roads)
     if not B.any() and not D.any():

@@ -1,4 +1,6 @@
-"""Controllers and their vehicle for MATLAB: a file of structs (version 5), and a script that creates `ss` objects from them."""
+"""Controllers and their vehicle for MATLAB: a file of structs (version 5), and a script that creates `ss` objects from these
+structs.
+"""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -24,7 +26,9 @@ RESERVED_WORDS = {  # words that MATLAB reserves, and names of the script's own 
 
 
 def struct_names(controllers: Sequence[Controller]) -> dict[str, str]:
-    """Returns the name of each controller's struct. All names are different, and none is the name of the vehicle's struct."""
+    """Returns the name of the struct for each controller. All names are different, and none is the name of the vehicle's
+    struct.
+    """
     names, taken = dict[str, str](), {VEHICLE, *RESERVED_WORDS}
     for one in controllers:
         plain = c_name(one.name)[: LONGEST - 4]
@@ -88,7 +92,9 @@ def _plain(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def script(file: str, vehicle: Vehicle, controllers: Sequence[Controller]) -> str:
-    """Returns MATLAB code that creates `ss` objects of the plant and of each controller, and connects them by signal names."""
+    """Returns MATLAB code that creates `ss` objects of the plant and of each controller, and connects these objects by signal
+    names.
+    """
     names = struct_names(controllers)
     lines = [
         f"% Creates ss objects of the plant and of each controller from {file}; needs the Control System Toolbox.",

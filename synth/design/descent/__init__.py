@@ -1,1 +1,1 @@
-"""Descent on the norm of the closed loop over the entries of a gain, shared by several design methods."""
+"""Descent search over the entries of a gain, which lowers the norm of the closed loop; shared by several design methods."""

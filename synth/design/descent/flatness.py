@@ -1,6 +1,6 @@
 """Flatness of an optimum: how far a single gain entry can change until the norm rises by a given percentage.
 
-In the paper's problem, a whole set of gains is optimal. Close to this set, the norm hardly depends on the gain.
+In the paper's problem, a whole set of gains is optimal. Close to the set of optimal gains, the norm hardly depends on the gain.
 """
 
 import numpy as np
@@ -43,7 +43,9 @@ def free_moves(plant: Plant, K: Array, share: float) -> tuple[Array, Array, Arra
 
 
 def _furthest(stays) -> float:
-    """Returns the largest change that keeps the norm within the limit, found by increasing steps and then bisection."""
+    """Returns the largest change of a gain entry that keeps the norm within its limit, found by increasing steps and then
+    bisection.
+    """
     inside, outside = 0.0, SMALLEST
     for _ in range(STEPS):
         if not stays(outside):

@@ -2,7 +2,8 @@
 
 Minimising a norm without limits on the gain leads to useless controllers, because the infimum may lie at infinite gain.
 From the paper's controller I, a descent without limits would increase the gain to [-72240, -82631] to lower gamma by only a
-thousandth. Each doubling of the gain must therefore lower the norm by at least 0.1 %. A stage that achieves less is undone.
+thousandth. Each doubling of the gain must therefore lower the norm by at least 0.1 %. A stage that lowers the norm by less is
+undone.
 """
 
 import math
@@ -32,18 +33,19 @@ def lower_by_growth(
     bought: Callable[[Value, Value], float],
     size: float | None = None,
 ) -> tuple[Array, Value, tuple[float, float] | None]:
-    """Lowers a function, first with a fixed limit on the largest entry of the point, then in stages that may double the limit.
+    """Lowers a function, first with a fixed limit on the largest entry of the point x, then in stages that may double this
+    limit.
 
     Args:
         x: point of a landscape.
-        value: value of the objective function at this point.
+        value: value of the objective function at the point x.
         lower: function that takes a point, its value and a limit on the entries, and returns a better point and its value.
         bought: function that takes two objective values and returns the relative decrease from the first to the second.
         size: largest absolute value of an entry of the point. Default: computed from the point.
 
     Returns:
-        Final point, its value, and a pair for the undone stage, with the relative decrease of the value and the growth factor of
-        the largest entry. The pair is None if no stage was undone, or if the undone stage did not lower the value.
+        Final point, value at this point, and a pair for the undone stage: relative decrease of the value, and growth factor of
+        the largest entry. The pair is None if no stage was undone, or if the undone stage did not lower the objective function.
     """
     size = float(np.abs(x).max()) if size is None else size
     for stage in range(STAGES):

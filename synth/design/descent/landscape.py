@@ -3,20 +3,22 @@
 A gain K is represented by a point x of N numbers with K_ij = x_ij scale_ij. The scales give every entry of K a similar effect.
 N is m q, or the number of free entries if a structure fixes the other entries to zero. The H-infinity norm is a continuous
 function of the gain. The norm has an edge wherever two frequencies or two singular values share the maximum, and minima lie on
-edges. For all unit vectors u and v, the largest singular value of T(j omega) is at least Re u' T(j omega) v, with equality for
-the singular vectors. Each choice of omega, u and v therefore gives a smooth function that bounds the norm from below. This
-function is called a cut (Apkarian, Noll 2006).
+edges. For all unit vectors u and v, the largest singular value of the transfer matrix T(j omega) is at least Re u' T(j omega)
+v. Equality holds for the singular vectors. Each choice of omega, u and v therefore gives a smooth function that bounds the norm
+from below. The smooth function for one choice of omega, u and v is called a cut (Apkarian, Noll 2006).
 
 A discrete plant is represented by the continuous plant into which the bilinear transform maps it, with the same gains but other
 frequencies. The measurements of the continuous plant contain the force, as an accelerometer signal does. The equivalent gain
 for measurements without the force is (I - K Dyu)^-1 K.
 
 If two measurements are large and nearly equal, the norm depends strongly on the gain that acts on their sum. The norm hardly
-depends on the gain that acts on their difference. An example is a slowly drifting reference and the position that follows it. A
-similar problem occurs if two forces nearly cancel in z. As a function of the gain entries, the norm then has a narrow valley. A
-change dK of the gain changes z by T_zu dK T_yw w. In suitable coordinates, there is no valley. These coordinates make the
-measurements uncorrelated and of equal size if w is white noise. These coordinates also make the responses of z to white-noise
-forces orthogonal and of equal size. The curvature of a quadratic cost is then the same in all directions (natural gradient).
+depends on the gain that acts on the difference of the two measurements. An example is a slowly drifting reference and a
+position that follows this reference. A similar problem occurs if two forces nearly cancel in z. If two measurements are nearly
+equal, or two forces nearly cancel, the norm has a narrow valley as a function of the gain entries. A change dK of the gain
+changes z by T_zu dK T_yw w, where T_zu and T_yw are transfer matrices of the closed loop. In suitable coordinates for the gain,
+the norm has no narrow valley. The coordinates are chosen so that the measurements are uncorrelated and of equal size if w is
+white noise. In the same coordinates, the responses of z to white-noise forces are orthogonal and of equal size. The curvature
+of a quadratic cost is then the same in all directions (natural gradient).
 """
 
 import contextlib
@@ -80,9 +82,9 @@ class Cuts:
     """Set of F cuts: smooth functions Re u' T(j omega; K) v of the gain K that bound the norm from below.
 
     Attributes:
-        omega: frequencies [rad/s], shape (F,).
-        u: unit vectors, complex, shape (F, d).
-        v: unit vectors, complex, shape (F, r).
+        omega: frequency of each cut [rad/s], shape (F,).
+        u: complex unit vector u of each cut, shape (F, d).
+        v: complex unit vector v of each cut, shape (F, r).
     """
 
     omega: Array
@@ -133,7 +135,8 @@ MOST_ALIKE = 3  # largest number of similar singular values that are considered 
 class Work:
     """Counter of computing work, with a limit. One unit is the work that is needed to compute one norm of a loop with 8 states.
 
-    Unlike a time limit, this count is the same on every machine. The same problem therefore always ends at the same gain.
+    Unlike a time limit, a limit on the counted work has the same effect on every machine. A search for the same problem
+    therefore always ends at the same gain.
     """
 
     def __init__(self, limit: float = np.inf) -> None:
@@ -158,7 +161,7 @@ def price(states: int, entries: int) -> float:
 class Landscape:
     """Norms of the closed loops of one plant as a function of the gain.
 
-    The object stores previous peak frequencies, which shorten the next search but do not change its result.
+    The object stores previous peak frequencies, which shorten the next search for a norm but do not change the norm.
     """
 
     def __init__(
@@ -172,7 +175,7 @@ class Landscape:
         plant: generalised plant with n states, m inputs, r disturbances and q measurements.
         structure: mask, shape (m, q): True for entries of K that may be nonzero. None if all entries may be nonzero.
         work: counter of the computing work that is spent on norms. Default: a counter without a limit.
-        band: lower and upper limit of the frequencies [rad/s] at which gains count; all frequencies by default.
+        band: lower and upper limit of the frequencies [rad/s] over which the norm is taken; all frequencies by default.
         """
         image, self.before = continuous_image(plant)
         self.band = mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt)
@@ -212,7 +215,9 @@ class Landscape:
         return flat if self.free is None else flat[..., self.free]
 
     def acting(self, x: Array) -> Array:
-        """Returns the equivalent gain without Dyu, (I - K Dyu)^-1 K, for each point, shape (..., m, q); NaN if none exists."""
+        """Returns, for each point, the gain (I - K Dyu)^-1 K, which has the same effect without Dyu, shape (..., m, q); NaN if
+        none exists.
+        """
         K = self.gain(x) - self.before
         if not self.through:
             return K
@@ -223,7 +228,7 @@ class Landscape:
         return np.full_like(K, np.nan)
 
     def after(self, x: Array) -> Array:
-        """Returns (I - K Dyu)^-1 for a point, shape (m, m); NaN if the inverse does not exist."""
+        """Returns the matrix (I - K Dyu)^-1 for a point, shape (m, m); NaN if the inverse does not exist."""
         eye = np.eye(self.shape[0])
         if not self.through:
             return eye
@@ -240,10 +245,10 @@ class Landscape:
     def loop(self, x: Array) -> Plant:
         """Returns the closed loop with the gain K of a point.
 
-        The closed loop has a new input v: u = K y + v. The last result is cached.
+        The closed loop has an additional input v: u = K y + v. The last result is cached.
 
-        The matrices of the result describe the effect of a change of the gain, including the effect through Dyu. All entries
-        are NaN if the loop equation has no solution.
+        The matrices of the loop describe the effect of a change of the gain, including the effect through Dyu. All entries of
+        the matrices are NaN if the loop equation has no solution.
         """
         key = x.tobytes()
         if self.last is None or self.last[0] != key:
@@ -265,7 +270,7 @@ class Landscape:
     def abscissa(self, x: Array) -> tuple[float, Array]:
         """Returns the largest real part of the poles [rad/s], and its derivatives with respect to the point, shape (N,).
 
-        The value is infinite if the loop matrix is not finite.
+        The largest real part is infinite if the loop matrix is not finite.
         """
         self.work.done += POLES * self.price
         loop = self.loop(x)
@@ -336,7 +341,8 @@ class Landscape:
         return self.of_entries(np.real(np.outer(seen @ loop.B + adjoint @ loop.D, measured) * self.scale))
 
     def cuts(self, x: Array, omega: Array, floor: float) -> Cuts:
-        """Returns cuts for the singular values >= `floor` at given frequencies, and cuts for mixtures of similar singular values.
+        """Returns cuts for the singular values >= `floor` at given frequencies, and cuts for mixtures of singular vectors with
+        similar singular values.
 
         The largest singular value always gives one cut. If singular values are similar, any mixture of their vectors may give
         the largest value at a nearby point, so four mixtures are added.
@@ -376,10 +382,10 @@ class Landscape:
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
         """Returns the weighted sum of the second derivatives of the peak gains to which the cuts belong, shape (N, N).
 
-        A peak is the maximum of Re u' T v over unit vectors u, v and nearby frequencies. This maximum is the eigenvalue of J =
-        [0 T; T' 0] with the eigenvector q = (u, v) / sqrt 2. Perturbation theory gives the second derivatives of this
-        eigenvalue with respect to x and omega. Since omega follows the maximum, omega is eliminated from the Hessian. Terms
-        with nearly equal eigenvalues are omitted, because the cuts with mixed vectors already represent them.
+        A peak is the maximum of Re u' T v over unit vectors u, v and nearby frequencies. The maximum over u and v is the
+        eigenvalue of J = [0 T; T' 0] with the eigenvector q = (u, v) / sqrt 2. Perturbation theory gives the second derivatives
+        of the eigenvalue with respect to x and omega. Since omega follows the maximum, omega is eliminated from the Hessian.
+        Terms with nearly equal eigenvalues are omitted, because the cuts with mixed vectors already represent them.
         """
         loop = self.loop(x)
         n, size, (d, r) = len(loop.A), x.size, loop.Dw.shape
@@ -440,7 +446,7 @@ class Landscape:
         return np.unique(np.concatenate([ends, np.clip(inside, low, high), modes.far[:beyond]]))
 
     def moving(self, omega: Array) -> Array:
-        """Returns True for each frequency at which a peak moves if the gain changes.
+        """Returns True for each frequency whose peak moves to another frequency if the gain changes.
 
         A peak at zero frequency does not move, because the response is an even function of frequency. A peak at an end of the
         band does not move, because the gain rises beyond this end.
@@ -449,7 +455,7 @@ class Landscape:
         return (omega > 0) & (omega > low * (1 + NEAR)) & (omega < high * (1 - NEAR))
 
     def _inside(self, omega: Array) -> Array:
-        """Returns those frequencies that lie within the band, and the finite ends of the band, ascending."""
+        """Returns those of the given frequencies that lie within the band, and the finite ends of the band, ascending."""
         low, high = self.band
         omega = omega[np.isfinite(omega) & (omega > low) & (omega < high)]
         return np.unique(np.concatenate([[low], omega, [high] if np.isfinite(high) else []]))
@@ -472,7 +478,9 @@ SMALLEST = 1e-12
 
 
 def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
-    """Returns the matrix M, shape (N, N), of balanced coordinates t at a stable point x. Another point is then x + M t."""
+    """Returns the matrix M, shape (N, N), which defines balanced coordinates t at a stable point x. The coordinates t represent
+    the point x + M t.
+    """
     loop = landscape.loop(x)
     triangle, basis = linalg.schur(loop.A)  # pyright: ignore[reportAssignmentType]
     w, y, u, z = basis.T @ loop.Bw, loop.Cy @ basis, basis.T @ loop.B, loop.C @ basis
@@ -516,7 +524,8 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
 
 
 def _within(M: Array, free: Array) -> Array:
-    """Returns a square matrix of coordinates for only the free entries. Lengths of steps are the same as in the coordinates M.
+    """Returns a square matrix of balanced coordinates for only the free entries. Each step has the same length in the returned
+    coordinates as in the coordinates M.
 
     Raises:
         LinAlgError: M is singular.

@@ -1,16 +1,17 @@
 """Descent on a nonsmooth function: minimises the largest of several terms, within bounds on further terms.
 
 - `descend` is sequential quadratic programming for a minimax problem. The model for a step is the maximum of linear functions
-  that bound the terms from below, plus a quadratic term for their curvature. The step leads to the minimum of this model. If a
+  that bound the terms from below, plus a quadratic term for their curvature. The step leads to the minimum of the model. If a
   step is too long, the linear functions at the end of the step are added to the model, as in bundle methods. If the curvature
   is unknown or has the wrong sign, the step length is measured in coordinates in which all directions have equal weight
   (`balanced_coordinates`).
-- While a bound is exceeded, a multiple of the excess is added to the goal (an exact penalty). If this multiple exceeds the
-  Lagrange multipliers of the bounds, the penalised goal has the same minimum as the goal has within the bounds. The sum of two
-  maxima equals the maximum of the sums of all pairs of functions, so the penalised model has the same form.
-- `descend_norm` applies this descent to one norm, in stages that each have their own coordinates and curvature.
-- `quasi_newton` is BFGS with a weak Wolfe line search, which works on nonsmooth functions in practice (Lewis, Overton 2013).
-  BFGS is fast far from a minimum, but it stalls where the function has an edge.
+- While a bound is exceeded, a multiple of the excess is added to the function that is minimised (an exact penalty). If the
+  multiple exceeds the Lagrange multipliers of the bounds, the penalised function has the same minimum as the constrained
+  problem. The sum of two maxima equals the maximum of the sums of all pairs of functions, so the penalised model has the same
+  form.
+- `descend_norm` applies `descend` to one norm, in stages that each have their own coordinates and curvature.
+- `quasi_newton` is BFGS with a weak Wolfe line search; this method also works on nonsmooth functions in practice (Lewis,
+  Overton 2013). BFGS is fast far from a minimum, but it stalls where the function has an edge.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -48,15 +49,15 @@ Function = Callable[[Array], tuple[float, Array]]
 
 
 def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.inf) -> tuple[Array, float]:
-    """Minimises a function by BFGS from x, until its value is below the target or no longer decreases.
+    """Minimises a function by BFGS from x, until the value is below the target or no longer decreases.
 
     Returns:
         The last point and its value.
 
     Args:
-        function: function that returns the value and the slope at a point. The value is infinite if the matrices of the loop
-            are not finite.
-        target: the minimisation ends at a value below this target.
+        function: function that returns the value and the slope at a point. The value is infinite if the matrices of the closed
+            loop are not finite.
+        target: value below which the minimisation ends.
         x: starting point, with a finite value.
         rounds: largest number of iterations.
     """
@@ -149,10 +150,10 @@ class MinimaxProblem:
         return known[key]
 
     def evaluate(self, x: Array, above: float = np.inf, penalty: float = 0.0) -> Evaluation:
-        """Returns the goal and the violation of the bounds at a point.
+        """Returns the value of the largest goal and the violation of the bounds at a point.
 
         Args:
-            above: limit; the evaluation ends early if goal (1 + penalty excess) exceeds this limit.
+            above: limit; the evaluation ends early if the product of `goal` and (1 + penalty excess) exceeds this limit.
             penalty: factor that multiplies the violation `excess`.
         """
         goal, excess, i, j = 0.0, -1.0, 0, 0
@@ -175,7 +176,7 @@ class MinimaxProblem:
         return [*self.goals, *self.bounds]
 
     def cut(self, x: Array, evaluation: Evaluation) -> Cuts:
-        """Returns the cuts of the largest goal and of the most violated bound at the point of the last evaluation."""
+        """Returns the cuts of the largest goal and of the most violated bound, at the last point that was evaluated."""
         i, j = evaluation.worst
         bounds = [(len(self.goals) + j, self.bounds[j].cut(x, 1 + evaluation.excess))] if evaluation.excess > 0 else []
         return [(i, self.goals[i].cut(x, evaluation.goal)), *bounds]
@@ -188,7 +189,9 @@ class MinimaxProblem:
         return {name: share for name, share in excess.items() if share > BOUND_TOLERANCE}
 
     def model(self, x: Array, evaluation: Evaluation, depth: float) -> Model:
-        """Returns the linearisations of the goals close to the largest goal, and of the bounds that are nearly reached."""
+        """Returns linear functions that approximate the goals close to the largest goal, and the bounds that are nearly
+        reached.
+        """
         model, level = Model(), evaluation.goal * (1 - depth)
         for i, term in enumerate(self.terms):
             value, goal = self.value(term, x), i < len(self.goals)
@@ -197,7 +200,7 @@ class MinimaxProblem:
         return model
 
     def of_cuts(self, x: Array, cuts: Cuts) -> Model:
-        """Returns the functions that the given cuts identify, evaluated at a point."""
+        """Returns the smooth functions that the given cuts identify, evaluated at a point."""
         terms = self.terms
         return [(i, terms[i].reevaluate(x, each)) for i, each in cuts]
 
@@ -215,8 +218,8 @@ def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enou
     """Minimises the norm, starting at a stable point x, subject to |x_i| <= limit_i.
 
     The descent ends if the norm is at most `enough`, or if a stage hardly lowers the norm. Every stage computes its own
-    coordinates, and starts without information about the curvature. The curvature of the previous stage belongs to other edges
-    of the norm, and would only shorten the steps.
+    coordinates, and starts without information about the curvature. Information about the curvature from the previous stage
+    belongs to other edges of the norm, and would only shorten the steps.
 
     Returns:
         The final point, and its norm.
@@ -244,7 +247,7 @@ def descend(
     settled: float = -np.inf,
     flat: float = FLAT,
 ) -> tuple[Array, Evaluation]:
-    """Descends from a point at which all loops are stable.
+    """Minimises the largest goal by descent from a point at which all loops are stable.
 
     The result fulfils the bounds if the starting point fulfils them, or if the descent finds a point that fulfils them.
 
@@ -254,9 +257,9 @@ def descend(
         rounds: largest number of iterations.
         on_progress: callback that receives every new point and its evaluation.
         enough: value of the goal at which the descent ends.
-        settled: if the predicted relative decrease is smaller than this, the descent ends immediately, without another
-            refinement of the model.
-        flat: the descent ends if the relative decrease over `OVER` rounds is below this value.
+        settled: predicted relative decrease of the goal below which the descent ends immediately, without another refinement of
+            the model.
+        flat: relative decrease of the goal over `OVER` rounds below which the descent ends.
 
     Returns:
         The final point, and its evaluation.
@@ -286,7 +289,7 @@ class _Walk:
         self.failures, self.recent = 0, [self.merit(self.evaluation)]
 
     def merit(self, evaluation: Evaluation) -> float:
-        """Returns the goal, multiplied by the penalty for violated bounds."""
+        """Returns the largest goal, multiplied by the penalty for violated bounds."""
         return evaluation.goal * (1 + self.penalty * max(evaluation.excess, 0.0))
 
     def lowest(self, goals: tuple[Array, Array], bounds: tuple[Array, Array]) -> tuple[Array, Array, Array, float]:
@@ -305,7 +308,7 @@ class _Walk:
         return t, table.sum(axis=1), self.penalty * table[:, 1:].sum(axis=0), now - float(np.max(pairs + along @ t))
 
     def linear(self, model: Model) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Returns the linear functions for goals and for bounds, as relative values in the coordinates of the descent."""
+        """Returns linear functions for the goals and for the bounds, as relative values in the coordinates of the descent."""
         empty, count, goal = np.zeros((0, len(self.x))), len(self.minimax.goals), self.evaluation.goal
         goals, bounds = ([each for i, each in model if (i < count) == which] for which in (True, False))
         (v, s), (c, w) = (
@@ -374,11 +377,13 @@ class _Walk:
         return True
 
     def at(self, x: Array, allowed: float) -> Evaluation:
-        """Evaluates a point; the evaluation ends early if the point can no longer be accepted."""
+        """Evaluates a point; the evaluation stops as soon as it is certain that the point cannot be accepted."""
         return self.minimax.evaluate(x, allowed, self.penalty)
 
     def corrected(self, end: Array, t: Array) -> Array:
-        """Returns a corrected step t, shape (N,). The step is computed with the function values at the end of the first step."""
+        """Returns a corrected step t, shape (N,). The corrected step is computed with the function values at the end of the
+        uncorrected step.
+        """
         goal, depth = self.evaluation.goal, self.depth
         count = len(self.minimax.goals)
         model = [(i, term.support(end, goal if i < count else 1.0, depth)) for i, term in enumerate(self.minimax.terms)]
@@ -388,9 +393,9 @@ class _Walk:
         return self.M @ self.lowest((v - s @ t, s), (c - w @ t, w))[0]
 
     def curvature(self, fresh: Model, of_goals: Array, of_bounds: Array) -> Array:
-        """Returns the curvature of the functions that are active at the point.
+        """Returns the curvature of those functions that are active at the current point.
 
-        Functions from earlier points do not contribute.
+        Functions whose cuts come from earlier points do not contribute.
         """
         total, terms, count = np.zeros((len(self.x), len(self.x))), self.minimax.terms, len(self.minimax.goals)
         share = of_goals[: sum(len(each.values) for i, each in fresh if i < count)].sum()
@@ -405,14 +410,14 @@ class _Walk:
 
 
 def solve_subproblem(values: Array, slopes: Array, hessian: Array, M: Array, x: Array, limit: Array) -> tuple[Array, Array]:
-    """Solves the quadratic subproblem of a step.
+    """Solves the quadratic subproblem for one step of the descent.
 
     The step t minimises max_i (values_i + slopes_i t) + t' hessian t / 2, subject to |x + M t| <= limit.
 
     The subproblem is solved as a least-distance problem, by non-negative least squares (Lawson, Hanson 1974, chapter 23). Let h
-    be the maximum, and y the step in coordinates with unit Hessian. Up to a negligible term, minimising h + |y|^2 / 2 then
-    means minimising the distance from a point far down the h axis. The first solution includes only the limits to which entries
-    are already close. Limits that this solution violates are then added.
+    be the maximum of the linear functions, and y the step in coordinates with unit Hessian. Up to a negligible term, minimising
+    h + |y|^2 / 2 then means minimising the distance from a point far down the h axis. The first solution includes only the
+    limits on entries that are already close to their limits. Limits that the first solution violates are then added.
 
     Returns:
         The step t, and the weights of the linear functions.

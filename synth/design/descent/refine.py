@@ -33,7 +33,7 @@ class Refinement:
         growth: largest gain entry after the refinement, divided by the largest entry before, in internal units of the loop.
         refused_stage: relative decrease of gamma, and growth of the gain, in the first stage that was undone. None if no stage
             was undone, or if the undone stage did not lower gamma.
-        what: name of the norm that is lowered.
+        what: name of the norm that the refinement lowers.
     """
 
     gain: Array
@@ -45,7 +45,7 @@ class Refinement:
 
     @property
     def trade_off_text(self) -> str:
-        """Trade-off between norm and gain, as text."""
+        """Trade-off between the norm and the size of the gain, as text."""
         text = f"{self.what} {digits(self.before)} -> {digits(self.after)} ({percent(1 - self.after / self.before)} less), "
         text += f"largest gain multiplied by {brief(self.growth)}"
         if self.refused_stage is not None:
@@ -90,7 +90,7 @@ def refine(plant: Plant, Cy: Array | None, K: Array, Dyw: Array | None = None) -
 
 
 def lower_norm(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
-    """Performs `refine` on the landscape of a plant. No new stage begins after the limit on the computing work is exceeded."""
+    """Performs `refine` with a landscape of the plant. No stage begins after the limit on the computing work is exceeded."""
     x = start = landscape.point(K)
     before, _ = landscape.norm(x)
     if not np.isfinite(before):
@@ -144,6 +144,8 @@ def worth_refining(plant: Plant, K: Array) -> float:
 
 
 def from_some(gain: Array, rows: Array, kept: Sequence[int]) -> Array:
-    """Returns a gain on only independent measurements that gives the same forces as the given gain, shape (m, len(kept))."""
+    """Returns a gain that uses only independent measurements and gives the same forces as the supplied gain, shape (m,
+    len(kept)).
+    """
     left_out = [i for i in range(len(rows)) if i not in kept]
     return gain[:, kept] + gain[:, left_out] @ rows[left_out] @ np.linalg.pinv(rows[kept]) if left_out else gain

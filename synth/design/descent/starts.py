@@ -1,24 +1,24 @@
 """Starting gains for a search over static gains: random gains, gains from a Riccati equation, and stabilising gains.
 
-Computing the poles of a small matrix takes microseconds, but a descent takes tenths of a second. Random gains are therefore
-drawn from every decade of magnitude up to the largest allowed gain. Every input and every measurement also has its own random
-scale. Half of the gains have rank one, because gains that tend to infinity often have rank one in the limit. In each decade,
-the norm is computed for some of the stabilising gains.
+Computing the poles of a small matrix takes microseconds, but a descent from one starting gain takes tenths of a second. Random
+gains are therefore drawn from every decade of magnitude up to the largest allowed gain. Every input and every measurement also
+has its own random scale. Half of the gains have rank one, because gains that tend to infinity often have rank one in the limit.
+In each decade, the norm is computed for some of the stabilising gains.
 
 The state feedback u = G x that minimises the mean square of z under white noise needs all states x. With the available
 measurements, K C_y is closest to G on average if K = G X C_y' (C_y X C_y')^-1, where X is the covariance of the state in the
-loop with G. K may fail to stabilise the loop, so stability is checked afterwards.
+loop with G. K may fail to stabilise the loop, so the stability of the loop with K is checked afterwards.
 
 If all states are measured, the Riccati equation of the H-infinity norm gives a gain whose norm is as close to the lower bound
 as required.
 
-Two types of descent search for a stabilising gain, from several starting points in turn. Neither type is certain to find
-such a gain, because no fast and certain method is known for this problem (Blondel, Gevers, Lindquist 1995).
+Two types of descent search for a stabilising gain, from several starting points in turn. Neither type of descent is certain to
+find a stabilising gain, because no fast and certain method is known (Blondel, Gevers, Lindquist 1995).
 
-- The first descent lowers the largest real part of the poles. This function decreases steeply, but it is not Lipschitz
-  continuous, and the descent stops at gains where poles coincide.
-- The second descent lowers the norm of (s - A - B K C_y + shift)^-1, which is finite while the shift exceeds the real part of
-  every pole. As the norm falls, the poles move to the left, and the shift follows them.
+- The first type of descent lowers the largest real part of the poles. The largest real part can be lowered quickly, but it is
+  not Lipschitz continuous, and the descent stops at gains where poles coincide.
+- The second type lowers the norm of (s - A - B K C_y + shift)^-1, which is finite while the shift exceeds the real part of
+  every pole. As the norm falls, the poles move to the left, and the shift is reduced accordingly.
 """
 
 import contextlib
@@ -46,7 +46,9 @@ SEED = 20261121
 
 
 def survey(landscape: Landscape, limit: Array) -> list[Array]:
-    """Returns the best stabilising random gain of each decade, if there is any, in ascending order of size; shape (N,) each."""
+    """Returns, for each decade of gains, the best stabilising random gain, if there is any, in ascending order of size; shape
+    (N,) each.
+    """
     generator, count = np.random.default_rng(SEED), _count(landscape)
     samples = []
     for decade in range(SMALLEST, int(np.ceil(np.log10(limit.max())))):
@@ -93,7 +95,7 @@ def lowest(landscape: Landscape, points: Array) -> Array | None:
 
 
 def _count(landscape: Landscape) -> int:
-    """Returns the number of random gains that are drawn at a time."""
+    """Returns the number of random gains that are drawn together in one batch."""
     return max(FEWEST, int(SAMPLES * min(1.0, (WIDE / len(landscape.plant.A)) ** 3)))
 
 
@@ -116,7 +118,7 @@ EVERYWHERE = 1e-6
 
 
 def projected_starts(landscape: Landscape) -> list[Array]:
-    """Returns the points that are closest to state feedbacks from Riccati equations, shape (N,) each."""
+    """Returns the points whose gains are closest to state feedbacks from Riccati equations, shape (N,) each."""
     plant = landscape.plant
     A, Cy, C, (n, m) = plant.A, plant.Cy, plant.C, plant.B.shape
     # a force of one unit moves the states about as fast as they move without control
@@ -145,7 +147,7 @@ REGULAR = (0.0, 1e-6, 1e-3)  # relative costs of all forces, tried in this order
 
 
 def state_feedback_start(landscape: Landscape, level: float) -> list[Array]:
-    """Returns a list with the point of a state feedback whose norm is below a given level.
+    """Returns a list with one point: the gain of a state feedback whose norm is below a given level.
 
     The list is empty unless all states are measured without noise.
     """
@@ -173,11 +175,12 @@ STALLED_SHIFTS = 0.92, 5
 
 
 def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Iterator[Array]:
-    """Yields stable points, at most one for each start. The first start is u = 0, and the other starts are random points.
+    """Yields stable points, at most one for each starting point. The first starting point is u = 0, and the other starting
+    points are random.
 
     Args:
         limit: largest absolute value of each entry, shape (N,).
-        starts: indices of the starts to try.
+        starts: indices of the starting points that are tried.
     """
     generator = np.random.default_rng(20261120)
     for start in range(starts.stop):
@@ -195,10 +198,10 @@ def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Ite
 def lower_poles(landscapes: Sequence[Landscape], x: Array, free: Array) -> Array:
     """Lowers the largest real part of the poles of all loops by descent, and returns the final point, shape (N,).
 
-    The loops are stable at this point if the largest real part is negative.
+    The loops are stable at the final point if the largest real part is negative.
 
     Args:
-        landscapes: landscapes of the plants; a point represents the same gain in all of them.
+        landscapes: landscapes of the plants; a point represents the same gain in all landscapes.
         x: point from which the descent starts, shape (N,).
         free: indices of the entries of the point that may change.
     """
@@ -219,7 +222,7 @@ def _rate(landscape: Landscape) -> float:
 
 
 def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Array | None:
-    """Returns a stable point found by descent from one start; None if the descent fails.
+    """Returns a stable point that is found by descent from one starting point; None if the descent fails.
 
     Args:
         limit: largest absolute value of each entry, shape (N,).
@@ -240,7 +243,7 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
 
 
 def shifted_landscape(landscape: Landscape, shift: float) -> Landscape:
-    """Returns the landscape of (s - A - B K C_y + shift)^-1, in the same coordinates."""
+    """Returns the landscape of (s - A - B K C_y + shift)^-1, in the same coordinates as the landscape of the plant."""
     own, (n, m) = landscape.plant, landscape.plant.B.shape
     eye, nothing = np.eye(n), np.zeros((n, n))
     moved = Landscape(Plant(own.A - shift * eye, own.B, eye, eye, np.zeros((n, m)), nothing, Cy=own.Cy, Dyu=own.Dyu))

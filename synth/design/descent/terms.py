@@ -1,6 +1,6 @@
 """Terms of a minimax problem as functions of the gain. Each term has a value, and smooth functions that bound it from below.
 
-A point x is a gain in the coordinates of a `Landscape`. These coordinates are the same for all terms of a problem.
+A point x is a gain in the coordinates of a `Landscape`. All terms of a problem use the same coordinates.
 """
 
 from abc import ABC, abstractmethod
@@ -20,8 +20,8 @@ class Linearisation:
     Attributes:
         values: values of the functions at the point, shape (F,).
         slopes: derivatives of the functions at the point with respect to its N entries, shape (F, N).
-        touching: True for functions that equal a local maximum of the term at the point, shape (F,). Only these functions
-            contribute to the curvature.
+        touching: True for each function that equals a local maximum of the term at the point, shape (F,). Only functions that
+            equal a local maximum contribute to the curvature.
         cuts: data that identifies the functions; each type of term has its own format.
     """
 
@@ -44,7 +44,7 @@ class Term(ABC):
 
     @abstractmethod
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the value of the term at x, divided by the unit.
+        """Returns the value of the term at the point x, divided by `unit`.
 
         If the value exceeds `above`, the method may return a lower bound. The value is infinite if the loop is unstable.
         """
@@ -55,18 +55,19 @@ class Term(ABC):
 
     @abstractmethod
     def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
-        """Evaluates, at another point x, the functions that `Linearisation.cuts` identifies."""
+        """Returns the functions that `Linearisation.cuts` identifies, evaluated at another point x."""
 
     def cut(self, x: Array, value: float) -> Any:
-        """Returns the cuts of the functions that equal the last result of `value`, which was computed at the same point x."""
+        """Returns the cuts of those functions that equal the last result of `value`, which was computed at the same point x."""
         return self.support(x, value, 0.0).cuts
 
     def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
-        """Returns the weighted sum of the second derivatives of the touching functions, shape (N, N); zero if they are unknown.
+        """Returns the weighted sum of the second derivatives of the touching functions, shape (N, N); zero if the derivatives
+        are unknown.
 
         Args:
-            x: point at which `support` was computed.
-            weights: weights of all functions of the support, shape (F,).
+            x: point at which the functions in `support` were computed.
+            weights: weights of all functions in `support`, shape (F,).
         """
         return np.zeros((len(x), len(x)))
 
@@ -79,7 +80,7 @@ class NormTerm(Term):
         self.peak = np.inf  # frequency of the peak at the last point [rad/s]
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the norm, divided by the unit."""
+        """Returns the norm, divided by `unit`."""
         height, self.peak = self.landscape.norm(x, above * self.unit)
         return height / self.unit
 
@@ -95,7 +96,9 @@ class NormTerm(Term):
         return self.landscape.cuts(x, omega[np.isfinite(omega)], value * self.unit)
 
     def reevaluate(self, x: Array, cuts: Cuts) -> Linearisation:
-        """Returns the gains at the frequencies of the cuts for another point x, whose maxima may be at other frequencies."""
+        """Returns the gains at the frequencies of the cuts for a new point x, where the gain may have its maxima at other
+        frequencies.
+        """
         return self._made(x, cuts, touching=False)
 
     def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:

@@ -1,16 +1,17 @@
-"""Design of laws with a given order or structure for the smallest norm, by descent from several starts.
+"""Design of laws with a given order or structure and the smallest norm, by descent from several starting points.
 
 A law with k states is a special case of a law with k + 1 states, so the search increases the order step by step, beginning with
 a static gain. For each order, the starting points of the search are
 
-- full-order laws, reduced to this order (`reduction.py`): laws with nearly the smallest norm, and laws with slower poles;
-- the law with one state less, to which a state is added that receives the measurements but has no effect yet;
-- random laws of every magnitude, if none of these laws is stable.
+- full-order laws, reduced to the order of the search (`reduction.py`): laws with nearly the smallest norm, and laws with slower
+  poles;
+- the law with one state less, extended by a state that receives the measurements but has no effect yet;
+- random laws of every magnitude, if no other starting point is stable.
 
 The search is the same as for static gains (`design/static.py`), but the plant includes the law's states. The gain has the zeros
 that the structure requires (`pattern.py`). If the resulting poles are too fast for an actuator, the search is repeated with a
-smaller limit on the gain. The search stops early if the law for some order reaches the lower bound. The law then has fewer
-states than allowed.
+smaller limit on the gain. The search stops early if the law for some order reaches the lower bound. A law that reaches the
+lower bound early has fewer states than allowed.
 """
 
 import contextlib
@@ -68,7 +69,9 @@ ONE_STATE = LawStructure(1)
 
 
 class End(NamedTuple):
-    """Law at the end of a search, its certificate, and a description of the start from which the search found this law."""
+    """Law at the end of a search, its certificate, and a description of the starting point from which the search found this
+    law.
+    """
 
     law: LinearLaw
     origin: str
@@ -93,22 +96,24 @@ def fixed_order_design(
         plant: generalised plant with n states, m inputs and q measurements, continuous or discrete. Only a continuous plant may
             have Dyu.
         structure: structure of the law.
-        lower_bound: lower bound on the norm of every controller from these measurements. Default: it is computed.
+        lower_bound: lower bound on the norm of every controller that uses the measurements. Default: the bound is computed.
         states: names of the states, used in error messages.
         stable: True if the law itself must be stable.
         as_run: function that converts a designed law to the law that is executed, as in `full_order_design`.
-        known: laws of this structure that were already found; they may have fewer states. If laws are given, the search starts
-            only from these laws.
+        known: laws of the required structure that were already found; they may have fewer states. If `known` contains laws, the
+            search starts only from these laws.
         on_found: function that is called with the best law of each order before the search for the next order.
-        work: counter of the computing work that is spent on norms. If its limit is exceeded, the best law found so far is
-            returned. The default limit is about 14 s of processor time for a plant with 8 states.
+        work: counter of the computing work that is spent on norms. If the work exceeds the limit of the counter, the best law
+            found so far is returned. The default limit is about 14 s of processor time for a plant with 8 states.
 
     Returns:
-        The law with its certificate, and the name of its starting point. The law may have fewer states than the structure allows.
+        The law with its certificate, and the name of the starting point from which the search found the law. The law may have
+        fewer states than the structure allows.
 
     Raises:
         InputError: a matrix does not fit the plant, or the law would have more states than the plant.
-        InfeasibleError: no law of this type stabilises the plant; the message describes the mode that cannot be stabilised.
+        InfeasibleError: no law of the required order or structure stabilises the plant; the message describes the mode that
+            cannot be stabilised.
         DesignError: no law was found.
 
     Example:
@@ -210,7 +215,8 @@ class _Search:
         known: Sequence[LinearLaw],
         on_found: Callable[[LinearLaw], None],
     ) -> End:
-        """Searches order by order, and returns the law with the smallest norm; see `fixed_order_design` for the arguments.
+        """Searches one order after the other, and returns the law with the smallest norm; see `fixed_order_design` for the
+        arguments.
 
         The law found for each order is also a starting point for the next order.
         """
@@ -244,13 +250,14 @@ class _Search:
         return f"{NO_LAW}; {self.work.text}" if self.work.over else NO_LAW
 
     def of_filters(self, structure: LawStructure, known: Sequence[LinearLaw]) -> End:
-        """Designs a PI or PID law by a descent that keeps the decay rate at no less than a tenth of its initial value.
+        """Designs a PI or PID law by a descent that keeps the decay rate of the loop at no less than a tenth of its initial
+        value.
 
-        Without this condition, the integral gain often tends to zero, because the norm over all frequencies does not require an
-        integral.
+        Without this limit on the decay rate, the integral gain often tends to zero, because the norm over all frequencies does
+        not require an integral.
 
         Raises:
-            DesignError: no gain makes the loop stable.
+            DesignError: no gain that makes the loop stable was found.
         """
         plant_problem = structured_gain(structure, self.plant)
         shape = plant_problem.free.shape
@@ -271,7 +278,8 @@ class _Search:
         return end
 
     def full_laws(self, states: Sequence[str], best: bool) -> list[LinearLaw]:
-        """Returns full-order laws: some with slow poles, and some with faster poles and norms closer to the lower bound.
+        """Returns full-order laws: some make the closed-loop poles slow, and some make the poles faster and the norm closer to
+        the lower bound.
 
         The list is empty if measurements contain the control forces.
 
@@ -297,7 +305,7 @@ class _Search:
         return laws
 
     def parts(self, structure: LawStructure, full: LinearLaw) -> list[LinearLaw]:
-        """Reduces a full-order law to laws of a structure.
+        """Reduces a full-order law to laws of the required structure.
 
         If each force has its own law, the law of each force is reduced separately.
         """
@@ -311,16 +319,16 @@ class _Search:
         return [_sum(laws) for laws in zip(*each, strict=False)]
 
     def filled(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
-        """Returns laws with as many states as a structure requires, made from a law that may have fewer states.
+        """Returns laws with as many states as a structure requires, made from a law that may have fewer states than required.
 
         Even a full-order law may have fewer states than the plant.
         """
         return [law] if law.states == structure.states(len(law.D)) else self.appended(structure, law)
 
     def appended(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
-        """Returns laws with additional states and the same closed loop.
+        """Returns laws that have additional states but give the same closed loop.
 
-        The new states receive the measurements, but have no effect.
+        The additional states receive the measurements, but have no effect.
         """
         (m, q), rows, dt = law.D.shape, structure.rows, self.plant.dt
         count = m if rows is not None else 1
@@ -358,14 +366,14 @@ class _Search:
         """Returns the law with the smallest norm that the search finds; if possible, with poles slow enough for an actuator.
 
         Args:
-            starts: laws of this structure, possibly with fewer states, each with a name. If no loop with these laws is stable,
-                other starts are used.
-            origin: name of the starting point in the result. Default: the name of the best start.
+            starts: laws of the required structure, possibly with fewer states, each with a name. If no law in `starts` makes
+                the loop stable, other starting points are used.
+            origin: name of the starting point in the result. Default: the name of the best entry of `starts`.
             whole: True to run the search to its end; False to run only its first descents.
-            sought: number of stabilising starting points to find if none of `starts` is stable.
+            sought: number of stabilising starting points to find if no law in `starts` is stabilising.
 
         Raises:
-            DesignError: no starting point has a stable loop.
+            DesignError: no starting point makes the loop stable.
         """
         problem = structured_gain(structure, self.plant)
         states = len(problem.plant.A) - len(self.plant.A) if problem.filters is None else 0
@@ -398,9 +406,9 @@ class _Search:
         return slowest
 
     def further(self, problem: StructuredGain, states: int, best: Candidate, limit: float, end: End) -> End:
-        """Continues a descent that was stopped by a limit on the entries.
+        """Continues a descent that stopped because gain entries reached their limit.
 
-        Returns the new law if its norm is lower and its poles are slow enough. In a chain of integrators, a pole is
+        Returns the new law if it gives a lower norm and slow enough poles. In a chain of integrators, a pole is
         proportional to a root of the gain entry, so a larger entry need not make the pole too fast.
         """
         for wider in WIDER:
@@ -417,7 +425,7 @@ class _Search:
     def beyond_rounding(self, law: LinearLaw, origin: str) -> End:
         """Returns a law with its certificate.
 
-        If a pole at 0 that has no effect remains in the loop, the poles of the law are shifted slightly to the left.
+        If the loop contains a pole at 0 that has no effect, the poles of the law are shifted slightly to the left.
         """
         end = End(law, origin, self.certified(law))
         for shift in SHIFTS * bool(law.states and np.any(end.certificate.stability.on_axis)):
@@ -445,6 +453,8 @@ class _Search:
 
 
 def _sum(laws: Sequence[LinearLaw]) -> LinearLaw:
-    """Returns the law whose output is the sum of the outputs of several laws. The law contains the states of all these laws."""
+    """Returns the law whose output is the sum of the outputs of several laws. The resulting law contains the states of all
+    added laws.
+    """
     A, D = np.asarray(linalg.block_diag(*(law.A for law in laws))), np.sum([law.D for law in laws], axis=0)
     return LinearLaw(A, np.vstack([law.B for law in laws]), np.hstack([law.C for law in laws]), D, laws[0].sample_period)

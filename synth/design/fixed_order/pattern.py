@@ -1,10 +1,10 @@
 """Conversion of a law with a given structure to a static gain of a larger plant, and back.
 
-A law with k states is u = D y + C x_c, v = B y + A x_c for the plant to which k integrators x_c' = v are added
-(`plant/augmented.py`). As a static gain, this law is [D, C; B, A]. If each force has its own law, this gain is block diagonal
-after sorting its rows and columns. PI and PID laws are static gains on the outputs of fixed filters: y, its integral, and its
-filtered derivative. Every structure is thus represented by a gain in which some entries are free and the other entries are
-zero.
+A law with k states x_c is u = D y + C x_c, v = B y + A x_c for the plant to which k integrators x_c' = v are added
+(`plant/augmented.py`). For the plant with integrators, the law is the static gain [D, C; B, A]. If each force has its own law,
+the gain is block diagonal after its rows and columns are sorted. PI and PID laws are static gains on the outputs of fixed
+filters, which are y, its integral, and its filtered derivative. Every structure is thus represented by a gain in which some
+entries are free and all other entries are zero.
 """
 
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ SWEEPS = 10  # number of iterations that balance the law
 
 @dataclass(frozen=True, eq=False)
 class StructuredGain:
-    """Larger plant, for which a law of a given structure is a static gain.
+    """Plant with additional states, for which a law of a given structure is a static gain.
 
     Attributes:
         plant: plant with n + k states, and the measurements on which the gain acts.
@@ -58,7 +58,7 @@ def structured_gain(structure: LawStructure, plant: Plant) -> StructuredGain:
     """Returns the plant for which laws of a structure are static gains.
 
     Args:
-        structure: structure of the law. An order of 0 means a static gain.
+        structure: structure of the law. An order of 0 stands for a static gain.
         plant: generalised plant with n states, m inputs and q measurements, continuous or discrete.
     """
     q, m = plant.Dyu.shape
@@ -111,7 +111,7 @@ def gains_on_filters(structure: LawStructure, law: LinearLaw) -> Array:
 
 
 def _on(filters: LinearLaw, law: LinearLaw) -> Array:
-    """Returns the gain on the filter outputs that is equivalent to a law whose states are those of the filters.
+    """Returns the gain on the outputs of the filters that is equivalent to a law whose states are the states of the filters.
 
     The gain is unique, because the filter outputs are linearly independent.
     """
@@ -120,7 +120,7 @@ def _on(filters: LinearLaw, law: LinearLaw) -> Array:
 
 
 def _filters(structure: LawStructure, rows: Array, period: float | None) -> LinearLaw:
-    """Returns the filters of the PI or PID laws for all forces, from all measurements.
+    """Returns the filters of a PI or PID law for each force, from all measurements.
 
     The filters are discrete if a period is given.
     """
@@ -130,9 +130,11 @@ def _filters(structure: LawStructure, rows: Array, period: float | None) -> Line
 
 
 def in_equal_units(landscape: Landscape, x: Array, states: int) -> Array:
-    """Returns an equivalent point, shape (N,), at which row and column of each law state have equal norms (Osborne 1960).
+    """Returns an equivalent point, shape (N,), at which the row and the column of each state of the law have equal norms
+    (Osborne 1960).
 
-    Laws that differ only in the units of their states give the same loop. Among these laws, the result has the smallest entries.
+    Laws that differ only in the units of their states give the same loop. Among equivalent laws, the result has the smallest
+    entries.
     """
     if not states:
         return x

@@ -1,12 +1,13 @@
-"""Laws with fewer states and nearly the same response, from several methods of reduction. Descent continues from the best law.
+"""Reduction of a law: laws with fewer states and nearly the same response, from several methods. The search continues by
+descent from the best reduced law.
 
 - Balanced truncation (Moore 1981) of the stable part of the law. The unstable part is kept unchanged.
-- Truncation with balancing in the closed loop (Enns 1984, with the loop as weights). The Gramians describe how w excites the
-  states of the law, and how these states affect z. The law itself may be unstable.
-- Both methods with singular perturbation (Liu, Anderson 1989): the omitted states are assumed to be in equilibrium instead of
-    being zero.
+- Truncation after balancing in the closed loop (Enns 1984; the loop acts as frequency weights). The Gramians describe how w
+  excites the states of the law, and how these states affect z. The law itself may be unstable.
+- Both truncation methods with singular perturbation (Liu, Anderson 1989): the omitted states are assumed to be in equilibrium
+  instead of being zero.
 
-None of these methods guarantees a stable loop, so the caller must check the loop.
+No reduction method guarantees a stable loop, so the caller must check the loop.
 """
 
 import contextlib
@@ -68,7 +69,9 @@ def _gramian(A: Array, B: Array, dt: float | None) -> Array:
 
 
 def _cut(law: LinearLaw, reached: Array, seen: Array, k: int) -> Iterator[LinearLaw]:
-    """Yields two laws without the states that have small balanced Gramians, which are set to zero or kept in equilibrium."""
+    """Yields two reduced laws: the states with small balanced Gramians are set to zero in one, and kept in equilibrium in the
+    other.
+    """
     roots = [directions * np.sqrt(np.maximum(sizes, 0.0)) for sizes, directions in map(np.linalg.eigh, (reached, seen))]
     left, sizes, right = np.linalg.svd(roots[1].T @ roots[0])
     kept = np.maximum(sizes, 1e-14 * sizes[0] if sizes[0] > 0 else 1.0)

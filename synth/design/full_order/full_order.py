@@ -1,9 +1,10 @@
 """Full-order H-infinity output feedback: a law with as many states as the plant, and a norm close to the lower bound.
 
-The laws come from Riccati equations (`riccati.py`). If the norm of these laws stays above the lower bound, or rounding prevents
-a proof, descents are also tried. The best law for which a proof succeeds is returned. The central law of the Riccati equations
-is one of a family of laws. If the regularisation raises the norm of the central law, another law of the family may be closer to
-the bound and have slower poles. A controller with fewer states, even a static gain, also counts as a full-order controller.
+The laws come from Riccati equations (`riccati.py`). If the norm of the central law stays above the lower bound, or rounding
+prevents a proof, descents are also tried. The best law for which a proof succeeds is returned. The central law of the Riccati
+equations is one of a family of laws. If the regularisation raises the norm of the central law, another law of the family may be
+closer to the bound and have slower poles. A controller with fewer states, even a static gain, also counts as a full-order
+controller.
 
 A discrete plant is mapped to a continuous plant for the design.
 """
@@ -40,7 +41,7 @@ SINGULAR = 1e-12  # a value below this relative size counts as zero
 def discrete_law(law: LinearLaw, image: Plant, K0: Array, dt: float) -> LinearLaw:
     """Converts a law for the continuous counterpart of a discrete plant to a law for the discrete plant, with the same loop.
 
-    The measurements of the continuous plant contain Dyu u, which the law first subtracts. Tustin's method then gives the
+    The measurements of the continuous plant contain Dyu u, so the law first subtracts this term. Tustin's method then gives the
     discrete law, to which the gain K0 is added.
 
     Args:
@@ -84,19 +85,20 @@ MOST = 100  # largest number of entries for which the descent of a law takes no 
 
 
 def numbers(search: RiccatiSearch) -> int:
-    """Returns the number of entries of a full-order law."""
+    """Returns the number of entries in the matrices of a full-order law."""
     n, m = search.own.plant.B.shape
     return (n + m) * (n + len(search.own.plant.Cy))
 
 
 def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> list[TradeOffPoint]:
-    """Improves a law by descent over laws of the same order. Returns the law at the end of each successful stage.
+    """Improves a law by descent over laws of the same order. Returns the laws at the ends of all successful stages of the
+    descent.
 
     Args:
         search: search for laws for the plant; the internal units of this search are used.
         start: law from which the descent starts.
-        fastest: largest allowed magnitude of a pole, relative to the plant's own speed. If the starting law is faster, its own
-            speed is the limit.
+        fastest: largest allowed magnitude of a pole, divided by the plant's own speed. If the poles with the starting law are
+            faster, the speed of these poles is the limit.
     """
     if not start.own.states:
         return []
@@ -125,12 +127,14 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
 
 
 def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[TradeOffPoint]:
-    """Returns a static gain, and its best multiple with slow enough poles; an empty list if no gain stabilises the plant.
+    """Returns a static gain, and the best multiple of this gain with slow enough poles; an empty list if no gain stabilises the
+    plant.
 
     Args:
         search: search for laws for the plant; the internal units of this search are used.
-        fastest: largest allowed magnitude of a pole, relative to the plant's own speed.
-        rival: norm of another law, in the units of the plant. The search ends early if the norm of a gain is far above it.
+        fastest: largest allowed magnitude of a pole, divided by the plant's own speed.
+        rival: norm with another law, in the units of the plant. The search ends early if the norm with a static gain is far
+            above the norm `rival`.
     """
     own, points = search.own, list[TradeOffPoint | None]()
     if static_feedback_obstructions(own.plant):
@@ -165,32 +169,33 @@ def full_order_design(
     as_run: Callable[[LinearLaw], LinearLaw] = as_designed,
     fastest_pole: Positive | None = None,
 ) -> DesignResult:
-    """Designs a full-order controller with a norm within 0.1 % of the lower bound that, if possible, is itself stable and slow.
+    """Designs a full-order controller whose norm is within 0.1 % of the lower bound and that, if possible, is itself stable and
+    slow.
 
-    If no such controller is found, the result is the controller whose norm is closest to the bound.
+    If no norm is that close to the bound, the result is the controller whose norm is closest to the bound.
 
     Closed-loop poles that are more than 100 times as fast as the plant must be justified by a lower norm. Each tenfold increase
-    in speed must lower the norm by at least 0.1 %.
+    in the speed of the poles must lower the norm by at least 0.1 %.
 
     Args:
         plant: generalised plant with n states and m inputs.
         Cy: measurement matrix, shape (q, n). Default: the Cy of the plant.
         Dyw: direct effect of w on the measurements, shape (q, r). Default: zero if Cy is given, otherwise the Dyw of the plant.
-        lower_bound: lower bound on the norm of every controller from these measurements. Default: it is computed.
+        lower_bound: lower bound on the norm of every controller that uses the measurements. Default: the bound is computed.
         states: names of the states, used in error messages.
-        fastest: limit on the magnitude of the closed-loop poles of a continuous plant, relative to the plant's own speed.
+        fastest: limit on the magnitude of the closed-loop poles of a continuous plant, divided by the plant's own speed.
         stable: True if the law itself must be stable.
         as_run: function that converts a designed law to the law that is executed, for example to a law that subtracts forces
             from its measurements.
         fastest_pole: limit on the magnitude of the closed-loop poles [rad/s]; None for no limit.
 
     Returns:
-        The law, its certificate, and the trade-off between norm and speed as a Pareto front in `trade`.
+        The law, its certificate, and the trade-off between norm and speed of the poles, which is a Pareto front in `trade`.
 
     Raises:
-        InputError: a matrix does not fit the plant, no disturbance acts on it, or z is zero.
-        InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode that cannot
-            be stabilised.
+        InputError: a matrix does not fit the plant, no disturbance acts on the plant, or z is zero.
+        InfeasibleError: no controller stabilises the plant from the measurements; the message describes the mode that cannot be
+            stabilised.
         DesignError: no law was found whose loop is slow enough, and stable despite rounding; or, if `stable` is True, no such
             law is itself stable.
 
@@ -305,7 +310,7 @@ def riccati(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def _against(own: DesignResult, other: DesignResult, as_run: Callable[[LinearLaw], LinearLaw]) -> str:
-    """Describes how a law that is itself stable compares with an unstable law."""
+    """Describes how the best law that is itself stable compares with an unstable law."""
     norms = [each.certificate.norm.value for each in (own, other)]
     share = norms[0] / norms[1] - 1
     price = "the norm does not rise" if share <= WITHIN else f"the norm rises by {percent(share)}"
@@ -321,7 +326,9 @@ def _slowest(law: LinearLaw) -> float:
 
 
 def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], below: LowerBound) -> str:
-    """Describes the gap between a norm and its lower bound, and the cost of a smaller gap; empty if the gap is small."""
+    """Describes the gap between a norm and its lower bound, and the poles of a law with a smaller gap; empty if the gap is
+    small.
+    """
     bound = below.gamma
     if bound and best.norm <= bound * (1 + WITHIN):
         return ""
@@ -336,7 +343,7 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], below: LowerBou
 
 
 def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
-    """Describes the sample period that a fast pole requires, and the cost of a slower law; empty if no pole is fast."""
+    """Describes the sample period that a fast pole requires, and the norm of a slower law; empty if no pole is fast."""
     if best.excess == 1:
         return ""
     slower = next((each for each in reversed(trade) if each.excess == 1), None)

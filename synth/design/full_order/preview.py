@@ -1,16 +1,16 @@
 """Preview LQ control: the smallest mean square of z if the disturbance is known in advance (Tomizuka 1975; Hac 1992).
 
-Here z = C x + D u, and w is white noise that is known from now until T seconds ahead. X and K are the solution and the gain of
-the LQR Riccati equation. With R = D'D and A_K = A + B K, the force is
+In the formulas, z = C x + D u, and w is white noise that is known from now until T seconds ahead. X and K are the solution and
+the gain of the LQR Riccati equation. With R = D'D and A_K = A + B K, the force is
 
     u(t) = K x(t) + integral from 0 to T of F(s) w(t + s) ds,    F(s) = -R^-1 B' exp(A_K' s) X Bw.
 
-The feedback is the LQR feedback, so preview does not change the poles. Preview reduces the mean square of z to
+The feedback gain is the same as in LQR, so preview does not change the poles. Preview reduces the mean square of z to
 
     mean square = trace Bw' X Bw - integral from 0 to T of trace F(s)' R F(s) ds.
 
-The mean square decreases as T grows. For T = 0, the mean square equals that of LQR. The integral is computed from a Lyapunov
-equation.
+The mean square decreases as T grows. For T = 0, the mean square equals that of an LQR controller. The integral in this
+expression is computed from a Lyapunov equation.
 """
 
 from collections.abc import Sequence
@@ -39,17 +39,17 @@ def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy:
         plant: generalised plant with n states, m inputs and r disturbances.
         preview: time T by which w is known in advance [s].
         states: names of the states, used in error messages.
-        Cy: matrix of measurements from which the state can be computed, shape (q, n). Default: the measurements of the plant,
-            or the state itself if the plant has no measurements.
+        Cy: measurement matrix, shape (q, n); the state must be computable from these measurements. Default: the measurements of
+            the plant, or the state itself if the plant has no measurements.
 
     Returns:
-        The feedback law; its attribute `preview` contains the force from the disturbance ahead. `h2_norm` is the H2 norm with
-        preview, and `without` is the H2 norm without preview.
+        The feedback law; its attribute `preview` contains the force that is computed from the future disturbance. `h2_norm` is
+        the H2 norm with preview, and `without` is the H2 norm without preview.
 
     Raises:
-        InputError: the preview time is not allowed, or `lqr_design` raises this error.
+        InputError: the preview time is not allowed, or `lqr_design` raises this type of error.
         InfeasibleError: the plant cannot be stabilised; the message describes the mode that cannot be stabilised.
-        DesignError: some force has no weight in z, or `lqr_design` raises this error.
+        DesignError: some force has no weight in z, or `lqr_design` raises this type of error.
 
     Example:
         >>> from synth import GeneralizedPlant, preview_design
@@ -84,6 +84,6 @@ def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy:
 
 
 def preview(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs the feedback law together with the force from the road ahead."""
+    """Designs the feedback law, and the additional force that is computed from the road ahead."""
     result = preview_design(problem.plant, problem.preview, problem.states, problem.plant.Cy)
     return replace(result, certificate=replace(result.certificate, below=problem.lower_bound))

@@ -4,13 +4,15 @@ The disturbance w is white noise of intensity one, and the root mean square of z
 measured, the controller is a gain (LQR). With noisy measurements, the LQR gain acts on the state estimate of a Kalman filter.
 No linear controller has a smaller mean square (separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
 
-LQG and H2 are the same problem. LQG is given a separate noise for each measurement, and H2 is given z and y of a generalised
-plant. If a measurement has no noise, or a force has no cost, the problem is singular. A small noise or cost, relative to the
-plant's internal units, is then assumed, and the result contains a remark about this assumption. Noise and cost that the caller
-gives are used unchanged, even if they are small. Inputs and measurements are scaled to a size of one, so that the Riccati
-equations contain no small numbers. An integral that is measured without noise is not estimated, because it only acts on z.
+LQG and H2 are the same problem. For LQG, the noise of each measurement is given separately; for H2, z and y belong to a
+generalised plant. If a measurement has no noise, or a force has no cost, the problem is singular. A small noise or cost,
+relative to the plant's internal units, is then assumed, and the result contains a remark about this assumption. Noise and cost
+that the caller gives are used unchanged, even if they are small. Inputs and measurements are scaled so that their size is one
+and the Riccati equations contain no small numbers. An integral that is measured without noise is not estimated by the Kalman
+filter, because it only acts on z.
 
-The direct effect of white noise on z through Dw has an infinite mean square. No control changes this effect, so it is omitted.
+The direct effect of white noise on z through Dw has an infinite mean square. No control changes this direct effect, so the
+effect is omitted.
 """
 
 from collections.abc import Sequence
@@ -69,25 +71,26 @@ def lqr_design(plant: Plant, states: Sequence[str] = ()) -> DesignResult:
 def lqg_design(
     plant: Plant, Cy: Array | None = None, noise: Sequence[float] | None = None, states: Sequence[str] = ()
 ) -> DesignResult:
-    """Designs the controller that measures y = C_y x + v, with independent white noise v, and minimises the mean square of z.
+    """Designs the controller that measures y = C_y x + v, where v is independent white noise, and minimises the mean square of
+    z.
 
     Args:
         plant: generalised plant with n states and m inputs.
         Cy: measurement matrix, shape (q, n). Default: the Cy of the plant.
-        noise: noise intensity of each measurement, shape (q,), in [unit of the measurement times sqrt(s)]. Noise with rms sigma
-            that is drawn every T seconds has the intensity sigma sqrt(T). Since w has intensity one, B_w and D_w must include
-            the square root of the true intensity of the disturbance. Default: a small noise is assumed, and the result has a
-            remark.
+        noise: noise intensity of each measurement, shape (q,), in [unit of the measurement times sqrt(s)]. If noise with rms
+            sigma is drawn every T seconds, its intensity is sigma sqrt(T). Since w has intensity one, the columns of B_w and
+            D_w must be multiplied by the square root of the disturbance's true intensity. Default: a small noise is assumed,
+            and the result has a remark.
         states: names of the states, used in error messages.
 
     Returns:
         A law with as many states as the plant, its certificate, and its H2 norm.
 
     Raises:
-        InputError: C_y or the noise does not fit the plant, or `lqr_design` raises this error.
-        InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode that cannot
-            be stabilised.
-        DesignError: w does not excite a mode that does not decay, or `lqr_design` raises this error.
+        InputError: C_y or the noise does not fit the plant, or `lqr_design` raises this type of error.
+        InfeasibleError: no controller stabilises the plant from the measurements; the message describes the mode that cannot be
+            stabilised.
+        DesignError: w does not excite a mode that does not decay, or `lqr_design` raises this type of error.
 
     Example:
         >>> from synth import GeneralizedPlant, lqg_design
@@ -121,7 +124,7 @@ def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, s
         A law with as many states as the plant, its certificate, and its H2 norm.
 
     Raises:
-        InputError, InfeasibleError, DesignError: `lqg_design` raises this error.
+        InputError, InfeasibleError, DesignError: `lqg_design` raises this type of error.
 
     Example:
         >>> from synth import GeneralizedPlant, h2_design
@@ -140,7 +143,7 @@ def quadratic(problem: DesignProblem, progress: Progress) -> DesignResult:
 
     Raises:
         DesignError: LQR was requested, but not every state is measured.
-        InputError, InfeasibleError, DesignError: `lqr_design`, `lqg_design` or `h2_design` raises this error.
+        InputError, InfeasibleError, DesignError: `lqr_design`, `lqg_design` or `h2_design` raises this type of error.
     """
     plant, states = problem.plant, problem.states
     if problem.design == "lqr":
@@ -171,7 +174,7 @@ def state_rows(plant: Plant) -> list[int]:
 def on_rows(law: LinearLaw, Cy: Array, kept: Sequence[int]) -> LinearLaw:
     """Converts a gain on the state to a gain on measurements y = C_y x.
 
-    `kept` contains the indices of the measurements that the new gain uses; see `state_rows`.
+    `kept` contains the indices of the measurements to which the new gain applies; see `state_rows`.
     """
     gain = np.zeros((len(law.D), len(Cy)))
     gain[:, kept] = np.linalg.solve(Cy[kept].T, law.D.T).T
@@ -188,7 +191,8 @@ def h2_norm(loop: Plant) -> float:
 
 @numerics()
 def lqg_law(plant: Plant, noise: Sequence[float]) -> LinearLaw:
-    """Returns the same law as `lqg_design`, but without checks, norm and certificate, for use in a search over weights.
+    """Returns the same law as `lqg_design`, but without checks, norm and certificate, for use in a search over the weights of
+    z.
 
     Args:
         plant: generalised plant with n states and q measurements.
@@ -207,7 +211,7 @@ def lqg_law(plant: Plant, noise: Sequence[float]) -> LinearLaw:
 def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array | None = None) -> DesignResult:
     """Designs the law that minimises the mean square of z. `value` of the result is the H2 norm.
 
-    The H2 norm is computed for the given plant with white noise w and the noise of LQG, without regularisation and without Dw.
+    The H2 norm is computed for the plant without regularisation and without Dw, for white noise w and the noise of LQG.
     The certificate applies to the worst-case w. The certificate excludes the noise of LQG, because white noise has no finite rms.
 
     Args:
@@ -243,13 +247,14 @@ def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array |
 
 
 def _assumed_rows(D: Array) -> tuple[Array, float]:
-    """Returns extra rows that raise D's zero singular values to `ASSUMED_SIZE`, and the smallest nonzero singular value of D.
+    """Returns extra rows for D that raise its zero singular values to `ASSUMED_SIZE`, and the smallest nonzero singular value
+    of D.
 
     Args:
         D: matrix with a column for each input, shape (d, m).
 
     Returns:
-        The rows, shape (k, m), and the smallest nonzero singular value; infinite if all singular values are zero.
+        The extra rows, shape (k, m), and the smallest nonzero singular value; infinite if all singular values are zero.
     """
     _, sizes, directions = np.linalg.svd(D)
     sizes = np.concatenate([sizes, np.zeros(D.shape[1] - len(sizes))])
@@ -258,7 +263,8 @@ def _assumed_rows(D: Array) -> tuple[Array, float]:
 
 
 def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> tuple[LinearLaw, list[str]]:
-    """Returns the optimal law with added costs of forces and noise of measurements, and texts that describe these additions.
+    """Returns the optimal law for a plant with assumed force costs and measurement noises, and texts that describe these
+    assumptions.
 
     Raises:
         DesignError: a Riccati equation has no solution.

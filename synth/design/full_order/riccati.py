@@ -1,29 +1,33 @@
-"""Search for a full-order controller by Riccati equations: a norm near the lower bound, or a trade-off of norm and speed.
+"""Search for a full-order controller by Riccati equations: a norm near the lower bound, or a trade-off between norm and speed
+of the poles.
 
 The equations are from Glover, Doyle 1988 and Zhou, Doyle, Glover 1996, Robust and Optimal Control, theorem 17.1. The names
-follow this book: D11 = Dw, D12 = D, D21 = Dyw, and X, Y, F, H with and without hats. The equations require D and Dyw of full
-rank, and no zero from u to z or from w to y on the imaginary axis. If D11 is not zero, the equations require D12 = [0; I] and
-D21 = [0 I]. Therefore z and w are rotated, u and y are scaled, and the result is transformed back. If gamma is close to the
-smallest value for which a solution exists, the solvers can return wrong solutions, so each solution is checked.
+follow the book of Zhou, Doyle and Glover: D11 = Dw, D12 = D, D21 = Dyw, and X, Y, F, H with and without hats. The equations
+require D and Dyw of full rank, and no zero from u to z or from w to y on the imaginary axis. If D11 is not zero, the equations
+require D12 = [0; I] and D21 = [0 I]. Therefore z and w are rotated, u and y are scaled, and the result is transformed back. If
+gamma is close to the smallest value for which a solution exists, the solvers can return wrong solutions, so each solution is
+checked.
 
-The order of a law is reduced in two ways. Neither way guarantees a good loop, so the loop of a reduced law is checked again.
+The order of a law is reduced in two ways. Neither way of reduction guarantees a good loop, so the loop with the reduced law is
+checked again.
 
 - *Fast modes* follow their input almost immediately. Fast modes are replaced by their static gain in D_c (residualisation;
   Kokotovic, Khalil, O'Reilly 1986, Singular Perturbation Methods in Control, section 1.3).
 - *Modes that cancel* have small Hankel singular values: the measurements hardly excite them, or they hardly affect the forces.
-  These modes are removed if they decay (balanced truncation; Moore 1981), and kept otherwise.
+  Modes that cancel are removed if they decay (balanced truncation; Moore 1981), and kept otherwise.
 
 The problem is singular if a measurement has no noise or a force has no cost. The best observer or the best gain is then
-infinitely fast, and the Riccati equations have no solution. Noise and cost are therefore added. The size of the added noise and
-cost is a share of the plant's internal units, in which the same share suits all signals. Small disturbances and weights are
-also added to all states. The norm of this regularised problem bounds the norm of the true loop, which has fewer disturbances
-and outputs:
+infinitely fast, and the Riccati equations have no solution. A small noise and a small cost are therefore added. The size of the
+added noise and cost is a share of the plant's internal units, because in these units the same share suits all signals. Small
+disturbances and weights are also added to all states. The norm of the regularised problem bounds the norm of the true loop,
+which has fewer disturbances and outputs:
 
     norm of the true loop  <=  norm of the regularised loop  <  gamma,
 
-A larger share of noise and cost gives a slower controller. The share is therefore reduced until the required gamma is reached,
-which gives the slowest controller with this gamma. If no share reaches this gamma with a controller that is slow enough for an
-actuator, the search returns the trade-off between norm and speed. This trade-off consists of the smallest gamma for each share.
+If the share of noise and cost is larger, the controller is slower. The share is therefore reduced until the required gamma is
+reached, which gives the slowest controller with this gamma. If no share reaches the required gamma with a controller that is
+slow enough for an actuator, the search returns the trade-off between norm and speed. The trade-off consists of the smallest
+gamma for each share.
 
 If gamma approaches its smallest value, some poles of the central law tend to infinity, and the law without these poles is
 equally good. Each law that is too fast is therefore also tried without its fast poles.
@@ -99,7 +103,7 @@ def state_gain(plant: Plant, gamma: float, share: float = 0.0) -> Array:
         share: smallest cost of every force (regularisation), relative to the larger of the norms of D and C.
 
     Raises:
-        InfeasibleError: no state feedback has a norm below gamma, or rounding prevents finding it.
+        InfeasibleError: no state feedback has a norm below gamma, or rounding prevents finding such a state feedback.
     """
     (n, m), r = plant.B.shape, plant.Dw.shape[1]
     cost = missing(plant.D, share * max(_size(plant.D), _size(plant.C)))
@@ -138,7 +142,7 @@ def _invariant(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
     """Returns X = X' for which [I; X] spans the stable subspace of the Riccati equation's pencil.
 
     The method is the same as in `scipy.linalg.solve_continuous_are` (Arnold, Laub 1984, with a balanced pencil). The checks in
-    that function are omitted, because they take most of the time for small equations. The caller checks every solution.
+    the SciPy function are omitted, because they take most of the time for small equations. The caller checks every solution.
 
     Raises:
         LinAlgError: the dimension of the stable subspace is not n, or the first block of its basis is singular.
@@ -178,7 +182,8 @@ CANCELS = 1e-6
 
 
 def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
-    """Returns a law without its fast modes and without modes that cancel. A law that has no such modes is returned unchanged.
+    """Returns a law without its fast modes and without modes that cancel. A law without fast modes and without modes that
+    cancel is returned unchanged.
 
     Args:
         law: law in continuous time, in units in which its entries have similar magnitudes.
@@ -262,16 +267,16 @@ SMALLEST, LARGEST = 1e-6, 1e9  # smallest and largest gamma, in units in which t
 
 @dataclass(frozen=True, eq=False)
 class TradeOffPoint:
-    """Controller on the trade-off between norm and speed.
+    """Controller at one point of the trade-off between norm and speed of the poles.
 
     Attributes:
-        share: share of noise and cost that was added in the design; zero if the law was found by descent.
+        share: added noise and cost, as a share of the internal units; zero if the law was found by descent.
         law: control law in the units of the given plant.
         own: the same control law in the plant's internal units.
         search: search that found the law.
-        least: lower estimate of the norm, which is the largest gain at the frequencies of the poles. Computing this estimate
-            takes a tenth of the time that a norm takes, and the estimate rules out most points.
-        speed_up: fastest pole of the loop, relative to the plant's speed without control.
+        least: lower estimate of the norm, which is the largest gain at the frequencies of the poles. Computing the estimate
+            `least` takes a tenth of the time that a norm takes, and this estimate rules out most controllers.
+        speed_up: magnitude of the loop's fastest pole, divided by the plant's speed without control.
     """
 
     share: float
@@ -293,7 +298,7 @@ class TradeOffPoint:
         return level_set_norm(own.plant.closed(self.own))[0] / own.norm
 
     def within(self, most: float) -> bool:
-        """Returns True if the norm is at most `most`."""
+        """Returns True if the norm of the loop is at most `most`."""
         return self.least <= most and self.norm <= most
 
     @property
@@ -308,7 +313,7 @@ class TradeOffPoint:
 
     @property
     def trouble(self) -> tuple[float, float]:
-        """Sort key for laws with similar norms: the excess speed, to which an unstable law adds a factor of ten.
+        """Sort key for laws with similar norms: the excess speed of the loop, multiplied by ten if the law is unstable.
 
         An unstable law is worse because it does not tolerate saturation of a force. Among laws without excess speed, stable
         laws come first.
@@ -344,12 +349,13 @@ def lowest(points: Iterable[TradeOffPoint]) -> TradeOffPoint | None:
 
 
 def select(trade: Sequence[TradeOffPoint], fastest: float, enough: float = 0.0) -> TradeOffPoint | None:
-    """Returns the slow enough controller with the least `trouble` and nearly the smallest cost; None if all are too fast.
+    """Returns the slow enough controller with the smallest `trouble` and nearly the smallest cost; None if all controllers are
+    too fast.
 
     Args:
         trade: controllers in any order.
-        fastest: limit on the speed, relative to the plant's own speed.
-        enough: sufficient norm; controllers with at most this norm are preferred to all others.
+        fastest: limit on the speed of the loop, divided by the plant's own speed.
+        enough: sufficient norm; controllers with at most this norm are preferred to all other controllers.
     """
     slow = [each for each in trade if each.speed_up <= fastest]
     if near := [each for each in slow if each.within(enough)]:
@@ -363,12 +369,12 @@ class RiccatiSearch:
 
     Attributes:
         fastest: speed of the plant without control [rad/s]; see `speed`.
-        much: multiple of `fastest`. A loop that is faster than this multiple must be justified by a lower norm; see `PRICE`.
+        much: multiple of `fastest` above which the speed of a loop must be justified by a lower norm; see `PRICE`.
     """
 
     def __init__(self, plant: Plant, bound: float, quick: float = 0.0) -> None:
         """Args:
-        quick: speed up to which a loop has no penalty for its speed [rad/s].
+        quick: speed of a loop up to which its cost contains no penalty [rad/s].
         """
         self.given, self.own = plant, NormalisedPlant.of(plant)
         self.bound = bound * self.own.norm
@@ -376,7 +382,9 @@ class RiccatiSearch:
         self.much = max(FASTEST, quick / self.fastest)
 
     def near(self, fastest: float) -> TradeOffPoint | None:
-        """Returns the slow enough controller with the least `trouble` and a norm within WITHIN of the lower bound, or None."""
+        """Returns the slow enough controller with the smallest `trouble` and a norm within WITHIN of the lower bound; None if
+        none exists.
+        """
         target = _coarse(self.bound * (1 + WITHIN))
         if target < SMALLEST:
             return None
@@ -408,12 +416,16 @@ class RiccatiSearch:
         return points + self.slower(points, fastest)
 
     def of_share(self, share: float, gamma: float) -> list[TradeOffPoint]:
-        """Returns the controllers for a share of noise and cost, for the smallest possible gamma and several larger values."""
+        """Returns controllers for one share of noise and cost, for the smallest possible gamma and several larger values of
+        gamma.
+        """
         tried = (self.traded(share, gamma * (1 + margin)) for margin in MARGINS)
         return [each for each in tried if each is not None]
 
     def next_to(self, trade: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers for shares of noise and cost between a slow enough and a too fast neighbour on a Pareto front."""
+        """Returns controllers for intermediate shares of noise and cost, between neighbours on a Pareto front of which only one
+        is slow enough.
+        """
         slow, quick = (
             [each.share for each in trade if each.share and (each.speed_up <= fastest) is side] for side in (True, False)
         )
@@ -444,7 +456,7 @@ class RiccatiSearch:
     def smallest(self, share: float, above: float) -> float:
         """Returns the smallest gamma for which the regularised problem has a solution, for a given share of noise and cost.
 
-        This gamma is at most `above`, which is the smallest gamma for a larger share.
+        The smallest gamma is at most `above`, which is the smallest possible gamma for a larger share.
         """
         low = max(_coarse(self.bound), SMALLEST)
         high, guess = above, 2 * low
@@ -464,7 +476,7 @@ class RiccatiSearch:
         return None
 
     def judged(self, share: float, law: LinearLaw) -> TradeOffPoint | None:
-        """Returns the trade-off point of a law in internal units; None if its loop is not stable.
+        """Returns the trade-off point of a law in internal units; None if the loop with this law is not stable.
 
         Raises:
             InputError: an entry of the law is too large in the units of the given plant.
@@ -479,7 +491,7 @@ class RiccatiSearch:
         return TradeOffPoint(share, back, law, self, loop.at_poles() * (1 - ROUNDING_OF_GAIN) / own.norm, speed_up)
 
     def reduced(self, best: TradeOffPoint) -> TradeOffPoint:
-        """Returns the controller without negligible states, if their removal neither changes its norm nor raises `trouble`."""
+        """Returns the controller without its negligible states if their removal neither changes the norm nor raises `trouble`."""
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             law = reduced_law(best.own, FASTEST * self.fastest / self.own.rate)
             less = self.judged(best.share, law) if law.states < best.own.states else None
@@ -491,7 +503,7 @@ class RiccatiSearch:
         """Returns the central law of the regularised problem, in internal units.
 
         Raises:
-            InfeasibleError: the problem has no law for this gamma.
+            InfeasibleError: the regularised problem has no law for the given gamma.
         """
         plant, Cy, Dyw = self.own.plant, self.own.plant.Cy, self.own.plant.Dyw
         n, (d, r) = len(plant.A), plant.Dw.shape
@@ -514,6 +526,6 @@ class RiccatiSearch:
 def _coarse(gamma: float) -> float:
     """Rounds a number down so that numbers which differ only by rounding errors usually give the same result (see GRAIN).
 
-    Without this rounding, results would depend on units, because bounds in different units have different rounding errors.
+    Without rounding down, results would depend on units, because bounds in different units have different rounding errors.
     """
     return float(np.exp2(np.floor(np.log2(gamma) / GRAIN) * GRAIN)) if gamma else 0.0

@@ -1,10 +1,10 @@
 """Full-order laws that are stable themselves, so that they do not wind up when forces saturate.
 
-Central laws for a larger gamma are slower, and some of them are stable. A descent continues from the best stable laws. This
+Central laws for a larger gamma are slower, and some of them are stable. A descent continues from the best stable laws. The
 descent lowers the norms of two plants with one gain [D, C; B, A]. The first plant is the given plant with the law's states. The
 second plant consists of only the law's states, x_c' = v, with a small weight. The closed loop of the second plant is x_c' = A
 x_c, whose norm is finite as long as the law itself is stable. If a law subtracts forces from its measurements, its matrix A
-changes before the law is executed. The stability of the law is therefore checked after this change.
+changes before the law is executed. The stability of the law is therefore checked with the changed matrix A.
 """
 
 import contextlib
@@ -30,7 +30,7 @@ LARGER = 10.0  # largest allowed entry of the law, relative to the largest entry
 
 
 def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], most: int) -> list[TradeOffPoint]:
-    """Returns laws that are themselves stable and have stable loops.
+    """Returns laws that are themselves stable and that make the loop stable.
 
     Args:
         search: search for laws for the plant; the internal units of this search are used.
@@ -49,7 +49,8 @@ def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], mo
 
 
 def _descend_from(search: RiccatiSearch, start: TradeOffPoint) -> LinearLaw:
-    """Returns the law at the end of the descent from a stable law, in internal units. Rounding may have made this law unstable.
+    """Returns the law at the end of the descent from a stable law, in internal units. Rounding may have made the law at the end
+    of the descent unstable.
 
     Raises:
         DesignError: the descent fails.
@@ -60,13 +61,14 @@ def _descend_from(search: RiccatiSearch, start: TradeOffPoint) -> LinearLaw:
 
 
 def descend_stable(plant: Plant, start: Array, states: int, light: float, structure: Array | None = None) -> Array:
-    """Returns the gain [D, C; B, A] at the end of the descent from a stable law. Rounding may have made this law unstable.
+    """Returns the gain [D, C; B, A] at the end of the descent from a stable law. Rounding may have made the law at the end of
+    the descent unstable.
 
     Args:
         plant: plant with the law's states, and the measurements on which the gain acts.
-        start: gain of the stable law from which the descent starts; its loop must also be stable.
+        start: gain of the stable law from which the descent starts; the loop with this law must also be stable.
         states: number k of the law's states.
-        light: weight of the law's own states.
+        light: weight of the law's states in the second plant.
         structure: mask: True for entries that may be nonzero. None if all entries may be nonzero.
 
     Raises:

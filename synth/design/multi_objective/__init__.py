@@ -1,1 +1,3 @@
-"""Multi-objective design: minimises one norm with bounds on other quantities, for one or more plants, with gain errors."""
+"""Multi-objective design: minimises one norm with bounds on other quantities, for one or more plants, and for gain errors of
+sensors and actuators.
+"""

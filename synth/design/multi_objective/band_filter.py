@@ -1,8 +1,8 @@
 """Filter that represents a frequency band as a weight on w: its gain is at least one in the band and small outside the band.
 
-A bound on the norm with this filter is also a bound on the norm in the band. Some bounds, such as the norm over a box of gain
-errors, can only be proved over all frequencies. With the filter, these bounds can also be proved for a band. The bound is less
-tight near the edges of the band, because the gain of the filter decreases gradually at these edges.
+A bound on the norm with the filter is also a bound on the norm in the band. Some bounds, such as the norm over a box of gain
+errors, can only be proved over all frequencies. With the filter, a bound over all frequencies also proves a bound for a band.
+The bound is less tight near the edges of the band, because the gain of the filter decreases only gradually there.
 """
 
 from functools import reduce

@@ -23,8 +23,8 @@ class BandLandscape(Landscape):
         """Args:
         plant: generalised plant with n states, m inputs, r disturbances and q measurements.
         band: lower and upper frequency [rad/s].
-        like: landscape whose scales of gain entries are used, so that the same points represent the same gains; None to use
-            the plant's own scales.
+        like: landscape whose scales of gain entries are used, so that equal points represent equal gains; None to use the
+            plant's own scales.
         """
         super().__init__(plant, band=band)
         self.own = len(plant.A) - plant.weights
@@ -45,7 +45,7 @@ class BandLandscape(Landscape):
         """Returns the real parts of the poles that the gain changes [rad/s], shape (P,), and their derivatives, shape (P, m q).
 
         A pair of conjugate poles counts once. Poles of filters are omitted, because no gain can change these poles. The filter
-        states are the last states.
+        states are the last states of the plant.
         """
         loop, own, known = self.loop(x), slice(self.own), self.modes(x) if self.own == len(self.plant.A) else None
         if known is not None and known.vectors is not None:

@@ -1,4 +1,4 @@
-"""Multi-objective design: finds a gain for a problem of goals and bounds, or reports why no gain fulfils them."""
+"""Multi-objective design: finds a gain that meets goals and bounds, or reports why no gain does."""
 
 import contextlib
 from collections.abc import Callable, Iterable
@@ -28,10 +28,11 @@ class MultiObjectiveDesign:
 
     Attributes:
         gain: gain matrix K that was found, shape (m, q).
-        goal: largest norm over all members and all errors found, or largest ratio of a member's norm to its individual optimum.
+        goal: largest norm over all members of the family and all gain errors found, or largest ratio of a member's norm to its
+            individual optimum.
         rejected_improvement: relative decrease of the goal that a gain up to twice as large would achieve. The decrease was
-            rejected as too small. None if no decrease was rejected.
-        errors: gain errors that the search took into account, in addition to the case without errors.
+            rejected because it was too small for the growth of the gain. None if no decrease was rejected.
+        errors: gain errors of sensors and actuators that the search took into account, in addition to the case without errors.
         problem: multi-objective problem that the gain solves.
     """
 
@@ -45,7 +46,7 @@ class MultiObjectiveDesign:
     def unproved(self) -> tuple[int, ...]:
         """Indices of the members whose stability is not proved for all errors within the tolerance.
 
-        The indices are computed at first use.
+        The indices are computed when they are first used.
 
         If there are no errors, the poles of a loop prove its stability. None of the errors found in the search makes a loop
         unstable.
@@ -75,17 +76,20 @@ def multi_objective_design(
 
     Args:
         problem: goals, bounds and plants.
-        starts: gains from which the search starts, each of shape (m, q), in addition to the starts that the search generates.
+        starts: gains from which the search starts, each of shape (m, q), in addition to the starting gains that the search
+            generates.
         on_progress: function that is called at every new point with the value of the goal, and with True if all bounds are
             fulfilled.
-        otherwise: function that returns additional starts; it is called only if no other start leads to stable loops.
+        otherwise: function that returns additional starting gains; it is called only if no other starting gain leads to stable
+            loops.
 
     Returns:
         The gain, the value of the goal, and the gain errors that the search took into account.
 
     Raises:
-        InputError: a decay is required for a discrete plant.
-        DesignError: no gain makes all loops stable, or no gain fulfils all bounds; the message lists the violated bounds.
+        InputError: a decay rate is required for a discrete plant.
+        DesignError: no gain was found that makes all loops stable and fulfils all bounds; the message lists the violated
+            bounds.
         Interrupted: the user pressed Ctrl-C after a feasible design was found.
 
     Example:
@@ -116,7 +120,8 @@ def multi_objective_design(
 
 @numerics()
 def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Progress = quiet) -> float:
-    """Returns the value of the goal after descent from a design's gain. This gain must fulfil the bounds of the problem.
+    """Returns the value of the goal that a descent from the gain of a design reaches. The gain of the design must fulfil the
+    bounds of the problem.
 
     If no better gain is found, the goal value of the design is returned.
 
@@ -133,7 +138,9 @@ def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, 
 
 
 def run_search(problem: MultiObjectiveProblem, on_progress: Progress = quiet) -> MultiObjectiveDesign:
-    """Runs the search from the two-step gains of the first, middle and last member, and from starts that it generates itself."""
+    """Runs the search from the two-step gains of the first, middle and last member, and from starting gains that the search
+    generates.
+    """
     count, gains = len(problem.members), []
     for i in sorted({0, count // 2, count - 1}):
         plant_problem = problem.members[i].plants[0]
@@ -163,7 +170,7 @@ def with_individual_optima(problem: MultiObjectiveProblem) -> MultiObjectiveProb
 
 
 def for_goals(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a static gain for goals, by descent from the gain of the two steps and from other starts."""
+    """Designs a static gain for goals, by descent from the two-step gain and from other starting gains."""
     assert problem.goals is not None, "goals"
     found = run_search(problem.goals, progress)
     law, share = static_law(found.gain), found.rejected_improvement

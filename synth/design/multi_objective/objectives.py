@@ -18,7 +18,7 @@ NEAR = 0.3
 class Decay(Term):
     """Decay rate of a loop: the value of the term is 2 + (largest real part of a pole) / rate.
 
-    Every term has the bound 1. For this term, the bound means that no real part exceeds -rate.
+    Every term has the bound 1. For the decay rate, the bound means that no pole has a real part above -rate.
     """
 
     def __init__(self, landscape: BandLandscape, rate: float) -> None:
@@ -65,14 +65,14 @@ class BoundedSignal:
 
 
 class EnergyPeak(Term):
-    """Energy-to-peak norm (E c P c')^1/2 for the energy E, relative to its bound, where P solves A P + P A' + Bw Bw' = 0."""
+    """Energy-to-peak norm (E c P c')^1/2, divided by its bound; E is the energy, and P solves A P + P A' + Bw Bw' = 0."""
 
     def __init__(self, landscape: BandLandscape, signal: BoundedSignal, unit: float) -> None:
         self.landscape, self.signal, self.unit, self.name = landscape, signal, unit, signal.name
         self.c = signal.c * landscape.balancing  # the point is in the coordinates of the landscape
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the norm relative to its bound; infinite if the loop is unstable."""
+        """Returns the energy-to-peak norm divided by its bound; infinite if the loop is unstable."""
         return self._solved(x)[0]
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:

@@ -1,4 +1,4 @@
-"""Largest magnitude of a signal over a road: its peaks and their derivatives for a descent, and a proved bound."""
+"""Largest magnitude of a signal on a road: its peaks and their derivatives for a descent, and a proved bound."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,13 +31,13 @@ SPARE = 1 + 1e-5  # initial factor by which a bound is tightened, because the si
 
 
 class RoadPeak(Term):
-    """Largest magnitude of a signal over a road, relative to its bound."""
+    """Largest magnitude of a signal on a road, divided by its bound."""
 
     def __init__(self, driven: RoadLoop, scale: Array, unit: float) -> None:
         """Args:
-        driven: plant, the road on which it moves, and the bounded signal.
+        driven: plant, road that excites the plant, and bounded signal.
         scale: scale of each entry of the gain, as in a landscape, shape (m, q).
-        unit: largest allowed magnitude of the signal, by which values are divided.
+        unit: largest allowed magnitude of the signal, by which all values of the term are divided.
         """
         self.driven, self.scale, self.name = driven, scale, driven.name
         self.spare = SPARE
@@ -52,7 +52,7 @@ class RoadPeak(Term):
         self.last: tuple[bytes, tuple[Array, Array, Array, Array]] | None = None
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the largest magnitude of the signal over the road and for some periods afterwards, relative to the bound."""
+        """Returns the largest magnitude of the signal on the road and for some periods after the road, divided by the bound."""
         _, y, slopes, ends = self._signal(x)
         if not np.all(np.isfinite(y)):
             return np.inf
@@ -76,7 +76,7 @@ class RoadPeak(Term):
         return self._made(x, touching, touching=True)
 
     def reevaluate(self, x: Array, cuts: Sequence[tuple[int, float, float]]) -> Linearisation:
-        """Returns the signal for another gain at the times that the cuts contain."""
+        """Returns the signal for another gain, at the times that `cuts` contains."""
         _, y, slopes, _ = self._signal(x)
         again = [(sign, at, sign * self.response.at(y, slopes, at)) for sign, at, _ in cuts]
         return self._made(x, again, touching=False)
@@ -122,12 +122,12 @@ class RoadPeak(Term):
 
 @dataclass(frozen=True)
 class Peak:
-    """Largest magnitude of a signal over a road.
+    """Largest magnitude of a signal on a road.
 
     Attributes:
         value: largest magnitude.
-        time: time after the start of the road at which this value occurs [s].
-        proved: proved upper bound on the magnitude; infinite if none is known.
+        time: time after the start of the road at which the largest magnitude occurs [s].
+        proved: proved upper bound on the magnitude; infinite if no bound is known.
     """
 
     value: float
@@ -139,12 +139,12 @@ def peak_over_road(driven: RoadLoop, K: Array) -> Peak:
     """Returns the largest magnitude of the signal y at all times after the start of the road; infinite if the loop is unstable.
 
     Between two times a step h apart, the distance of the signal from the straight line through both ends is at most h^2 / 8 max
-    |y''|. Next to a kink of the road, the times are only a millionth of a step apart. Next to a kink, the change of the signal
-    from one time to the next bounds this distance. The free motion after the road is computed until a bound shows that all
-    later motion is smaller.
+    |y''|. Next to a kink of the road, the times are only a millionth of a step apart. Next to a kink, the distance of the
+    signal from the line is bounded by the change of the signal from one time to the next. The free motion after the road is
+    computed until a bound shows that all later motion is smaller.
 
     Args:
-        driven: plant, the road on which it moves, and the bounded signal.
+        driven: plant, road that excites the plant, and bounded signal.
         K: gain, shape (m, q).
     """
     A, c = driven.loop(K)
@@ -195,7 +195,9 @@ def _beside_kinks(response: RoadResponse, y: Array, at_ends: Array) -> float:
 
 
 def _later(driven: RoadLoop, A: Array, c: Array, xi: Array, step: float, known: float) -> Peak:
-    """Returns the peak of the free motion after the last time step, if it is the highest so far, and a bound on this motion."""
+    """Returns the peak of the free motion after the last time step, if it is the highest peak so far, and a bound on this
+    motion.
+    """
     z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # height of the road after its end
     rest = np.linalg.solve(A, -(A @ driven.plant.Bw + driven.Br) @ z)
     level = float(c @ rest + (c @ driven.plant.Bw + driven.f) @ z)

@@ -30,7 +30,7 @@ def posed_goals(
     """Returns the multi-objective problem for given goals, without the individual optima of its members.
 
     Args:
-        members: members of the family, each with a plant for every entry of `norms_of`, and with the data for its other bounds.
+        members: members of the family, each with a plant for every entry of `norms_of`, and with the data for the other bounds.
         measured: names of the q measured signals.
         forces: names of the m inputs.
     """
@@ -61,7 +61,7 @@ def _strictest(values: Sequence[float], of: Callable[[Sequence[float]], float]) 
 
 
 def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Plant]) -> tuple[Goals, MultiObjectiveProblem]:
-    """Returns the goals and the multi-objective problem that they define, for plants with the same size and measurements.
+    """Returns the goals and the multi-objective problem that the goals define, for plants with the same size and measurements.
 
     Args:
         where: text with which error messages begin.

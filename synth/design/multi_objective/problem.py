@@ -64,7 +64,7 @@ def MeasuredPlant(plant: Plant, Cy: Matrix, Dyw: Matrix | None = None, through: 
         through: direct effect of the forces on the measurements, shape (q, m); zero by default.
 
     Returns:
-        A copy of the plant with these measurements.
+        A copy of the plant, with y as its measurements.
 
     Raises:
         InputError: a matrix does not fit the plant.
@@ -85,7 +85,7 @@ class FamilyMember(CheckedFields):
 
     Attributes:
         plants: copies of the plant with its measurements, one for each norm; z of each copy contains the signals of its norm.
-        driven_by: plant, road and bounded signal of each bound on a peak.
+        driven_by: plant, road and bounded signal, for each bound on a peak.
         signals: signals of the first plant in `plants` that are bounded for disturbances of a given energy.
     """
 
@@ -108,11 +108,11 @@ class GainErrors(CheckedFields):
 
     @property
     def key(self) -> bytes:
-        """Dictionary key that is the same for equal errors."""
+        """Dictionary key that is the same for two equal sets of gain errors."""
         return self.sensors.tobytes() + self.forces.tobytes()
 
     def on(self, plant: Plant) -> Plant:
-        """Returns the plant with these gain errors in its measurements and forces."""
+        """Returns the plant with the gain errors in its measurements and forces."""
         u, y = 1 + self.forces, 1 + self.sensors[:, None]
         if np.all(u == 1) and np.all(y == 1):
             return plant
@@ -122,18 +122,19 @@ class GainErrors(CheckedFields):
 
 @dataclass(frozen=True, eq=False)
 class MultiObjectiveProblem(CheckedFields):
-    """Problem of finding the K that minimises the largest norm over all members and errors, with bounds on other quantities.
+    """Problem of finding the gain K that minimises the largest norm over all members and gain errors, with bounds on other
+    quantities.
 
     Attributes:
         members: members of the family; a single member for one plant.
-        minimise: norm whose largest value is minimised.
+        minimise: norm whose largest value over all members and gain errors is minimised.
         norms: bounds on norms.
         decay: required decay rate [rad/s], so that all poles have a real part below -decay; None requires only stability.
         peaks: largest allowed magnitude of each signal in `driven_by`.
         gain: largest allowed |K_ij|; None if there is no limit.
         tolerance: largest relative gain errors that the loop must tolerate.
         structure: mask of the entries of K that may be nonzero, shape (m, q).
-        bests: individual optima of the members, if the largest ratio of a norm to its individual optimum is minimised; None to
+        bests: individual optima of the members, to minimise the largest ratio of a norm to its individual optimum; None to
             minimise the largest norm.
 
     Raises:
@@ -201,7 +202,7 @@ class MultiObjectiveProblem(CheckedFields):
         return BandLandscape(errors.on(self.members[i].plants[which]), band, like)
 
     def nominal(self) -> BandLandscape:
-        """Returns the landscape of the first member without errors, whose scales define the points of all landscapes."""
+        """Returns the landscape of the first member without gain errors, whose scales define the points of all landscapes."""
         return self.landscape(0, self.minimise.which, self.minimise.band, self.no_errors, None)
 
 
@@ -214,11 +215,11 @@ AND_FOR_ERRORS = 0.02
 def objectives_of(
     problem: MultiObjectiveProblem, full: BandLandscape, errors: Sequence[GainErrors], rate: float
 ) -> tuple[list[Term], list[Term]]:
-    """Returns the goals and the bounds of a problem for given gain errors.
+    """Returns the goals and the bounds of a problem for given gain errors, as terms.
 
     Args:
         full: landscape whose scales define the points of all terms.
-        errors: gain errors, for norms and for the decay rate; peaks are computed without errors.
+        errors: gain errors, which apply to the norms and to the decay rate; peaks are computed without errors.
         rate: required decay rate [rad/s]; 0 if there is no requirement.
     """
     goals: list[Term] = []
@@ -244,5 +245,5 @@ def objectives_of(
 
 
 def decay(problem: MultiObjectiveProblem, landscape: Any, rate: float) -> Decay:
-    """Returns the bound on the slowest pole, for the loop of a `BandLandscape`."""
+    """Returns the term that bounds the slowest pole of the loop of a `BandLandscape`."""
     return Decay(landscape, rate * (1 + (AND_FOR_ERRORS if problem.has_errors else TIGHTER)))

@@ -1,9 +1,9 @@
-"""Exact response of a closed loop to a road, and the largest value of a signal over this road.
+"""Exact response of a closed loop to a road, and the largest value of a signal on this road.
 
 The road heights under the wheels are z, and w = z' is the road velocity. The substitution x = xi + Bw z turns x' = A x + Bw w +
 Br z into xi' = A xi + (A Bw + Br) z. The road velocity, which jumps at a kink and is infinite at a vertical edge, does not
-appear in the new equation. The convolution integral over each time step is computed by a quadrature of order 16. A step with a
-kink is split into intervals that become shorter towards the kink, from both sides. Between two times, the signal is
+appear in the equation for xi. The convolution integral over each time step is computed by a quadrature of order 16. A step with
+a kink is split into intervals that become shorter towards the kink, from both sides. Between two times, the signal is
 approximated by the cubic polynomial with the values and derivatives at both times.
 """
 
@@ -68,12 +68,12 @@ class RoadLoop:
     name: str = "a peak"
 
     def loop(self, K: Array) -> tuple[Array, Array]:
-        """Returns A + B G and C + D G with G = (I - K Dyu)^-1 K C_y, shapes (n, n) and (n,)."""
+        """Returns the closed-loop matrices A + B G and C + D G with G = (I - K Dyu)^-1 K C_y, shapes (n, n) and (n,)."""
         G, plant = self.after(K) @ K @ self.plant.Cy, self.plant
         return plant.A + plant.B @ G, plant.C[0] + plant.D[0] @ G
 
     def after(self, K: Array) -> Array:
-        """Returns (I - K Dyu)^-1, shape (m, m); NaN if it does not exist."""
+        """Returns the matrix (I - K Dyu)^-1, shape (m, m); NaN if the inverse does not exist."""
         try:
             return np.linalg.inv(np.eye(len(K)) - K @ self.plant.Dyu)
         except np.linalg.LinAlgError:
@@ -88,7 +88,7 @@ class QuadratureInterval:
         step: index of the time step.
         start, length: start and length of the interval [s].
         nodes: road heights at the nodes of the quadrature, shape (NODES, r).
-        at_kink: True if one of the ends is a kink.
+        at_kink: True if one of the ends of the interval is a kink.
     """
 
     step: int
@@ -99,7 +99,7 @@ class QuadratureInterval:
 
 
 class RoadResponse:
-    """Motion of one plant with different gains over one road, at equidistant times.
+    """Motion of one plant on one road, with different gains, at equidistant times.
 
     Attributes:
         h: time between two computed points of the motion [s].
@@ -109,7 +109,7 @@ class RoadResponse:
 
     def __init__(self, driven: RoadLoop, step: float, length: float) -> None:
         """Args:
-        driven: plant, the road on which it moves, and the bounded signal.
+        driven: plant, road that excites the plant, and bounded signal.
         step: time step [s].
         length: approximate duration of the computed motion [s].
         """
@@ -150,7 +150,7 @@ class RoadResponse:
         return intervals
 
     def _nodes(self, starts: Array, lengths: Array) -> Array:
-        """Returns the road heights at the quadrature nodes of steps, shape (T, NODES, r)."""
+        """Returns the road heights at the quadrature nodes of the given time steps, shape (T, NODES, r)."""
         times = starts[:, None] + lengths[:, None] * self.s
         return self.driven.drive.heights(times.ravel()).reshape(len(starts), NODES, -1)
 
@@ -230,7 +230,7 @@ class RoadResponse:
     def between(self, values: Array, slopes: Array) -> tuple[Array, Array]:
         """Returns the maxima of the cubics between neighbouring times, and their positions, each of shape (T-1,).
 
-        A position is a number of steps from time 0. In a step with a kink, only the two ends are considered.
+        A position is a number of steps from time 0. In a step with a kink, only the two ends of the step are considered.
 
 
         Args:
@@ -268,9 +268,9 @@ def _real_product(a: Array, b: Array) -> Array:
 
 
 def _finite(rates: Array) -> Array:
-    """Returns the rates with infinite values replaced by zero.
+    """Returns the derivatives of the road heights, with infinite values replaced by zero.
 
-    Infinite rates occur at vertical edges of the road, where cubics are not used.
+    Infinite derivatives occur at vertical edges of the road, where cubics are not used.
     """
     return np.where(np.isfinite(rates), rates, 0.0)
 
@@ -279,7 +279,7 @@ def step_for(rate: float, share: float, end: float) -> float:
     """Returns a time step that is short enough for the fastest motion and for the road.
 
     In one step, the phase of the fastest motion advances by `share`. If the road is short, the step is reduced to 1/200 of the
-    road's duration, but to no less than an eighth of its length.
+    road's duration, but at most by a factor of 8.
 
     Args:
         rate: magnitude of the fastest pole [rad/s].
@@ -291,7 +291,7 @@ def step_for(rate: float, share: float, end: float) -> float:
 
 
 def homogeneous_response(A: Array, x: Array, h: float, count: int) -> Array:
-    """Returns exp(A k h) x for k = 0, 1, ..., computed by repeated doubling, shape (count, n)."""
+    """Returns the states exp(A k h) x at the times k h for k = 0, 1, ..., computed by repeated doubling, shape (count, n)."""
     responses, power = x[None], linalg.expm(A * h)
     while len(responses) < count:
         responses = np.concatenate([responses, responses @ power.T])

@@ -1,11 +1,11 @@
 """Search for the gain that minimises the goal and fulfils all bounds, from many starting points.
 
 - Starting points that make all loops stable are ranked. From a few of the best points, the search descends for some rounds.
-  From the best of the results, the search descends until it converges.
+  From the best result, the search descends until it converges.
 - If the gain has no limit, it grows in stages, as in `synth.design.descent.growth`, as long as the decrease of the goal
   justifies the growth.
 - If the box of gain errors has few vertices, all vertices are taken into account ("active"). Otherwise, only the worst errors
-  found so far are active. Only the certificate proves that no error in the box is worse.
+  found so far are active. Only the certificate proves that no error in the box is worse than the active errors.
 - At every starting point and at the end of every descent, the search looks for errors that make a loop unstable. If no decay
   rate is required, the slowest pole must keep a tenth of the decay rate that the best starting point has with gain errors.
 """
@@ -97,10 +97,11 @@ class MinimaxSearch:
         return x, evaluation, refused
 
     def improvement(self, gain: Array, errors: Sequence[GainErrors]) -> tuple[Array, Evaluation] | None:
-        """Descends from a gain for some rounds. Returns the best point that fulfils all bounds; None if there is no such point.
+        """Lowers the goal by descent from a gain, for a fixed number of rounds. Returns the best point that fulfils all bounds;
+        None if there is no such point.
 
-        The number of rounds, `TURNS_ON` times `GLANCE`, is fixed. There is no time limit, so the result is the same on every
-        computer.
+        The number of rounds, `TURNS_ON` times `GLANCE`, is fixed. The search has no time limit, so the result is the same on
+        every computer.
 
         Args:
             gain: gain with stable loops, shape (m, q).
@@ -123,7 +124,9 @@ class MinimaxSearch:
         return best
 
     def keep_decay(self, x: Array) -> None:
-        """Requires that the decay rate stays above a fraction of the decay rate that a given point has with gain errors."""
+        """Requires that the decay rate stays above a fraction of the decay rate that the loops at a given point have with gain
+        errors.
+        """
         self.rate = -SLOWER * max(self.worst.slowest(i, self.full.gain(x))[0] for i in range(len(self.problem.members)))
         self.minimax.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
         self.incumbent = None  # the stored point may decay more slowly than the new rate
@@ -135,7 +138,7 @@ class MinimaxSearch:
         return evaluation
 
     def best_of(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
-        """Returns the stored point if it is better than the given point; otherwise the given point."""
+        """Returns the stored point if it is better than the given point; otherwise, returns the given point."""
         if self.incumbent is not None and (not evaluation.within or self.cost(*self.incumbent) < self.cost(x, evaluation)):
             return self.incumbent
         return x, evaluation
@@ -169,7 +172,9 @@ class MinimaxSearch:
         return MinimaxProblem(*objectives_of(self.problem, self.full, errors, self.rate), self.limit(self.problem.gain))
 
     def coordinates(self, x: Array) -> Array:
-        """Returns the directions in which the structure allows changes, scaled so that all have equal weight, as columns."""
+        """Returns the directions in which the structure allows the gain to change, as columns, scaled so that all directions
+        have equal weight.
+        """
         return directions(self.full, x, self.free)
 
     def best(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation]:
@@ -211,7 +216,9 @@ class MinimaxSearch:
         return [np.clip(self.full.point(np.where(mask, K, 0.0)), -limit, limit) for K in gains]
 
     def brief_descent(self, x: Array) -> tuple[Array, Evaluation]:
-        """Lowers the objective for a few rounds, starting at x. If the gain has no limit, the gain may at most double."""
+        """Lowers the objective for a few rounds, starting at x. If the gain has no limit, the largest entry of the gain may at
+        most double.
+        """
         whole = self.minimax.limit
         if self.problem.gain is None:
             self.minimax.limit = np.minimum(whole, 2 * float(np.abs(x).max()) or 1.0)
@@ -221,7 +228,9 @@ class MinimaxSearch:
             self.minimax.limit = whole
 
     def cost(self, x: Array, evaluation: Evaluation) -> float:
-        """Returns the cost by which points are ranked, which penalises the size of a gain that has no limit."""
+        """Returns the cost by which points are ranked; if the gain has no limit, the cost includes a penalty for the size of
+        the gain.
+        """
         worth = price(max(float(np.abs(x).max()), 1e-3)) if self.problem.gain is None else 0.0
         return float(np.log(max(self.rank(evaluation), 1e-300)) + worth)
 
@@ -276,7 +285,7 @@ class MinimaxSearch:
         return descend(self.minimax, x, self.coordinates(x), rounds, self.moved, flat=FLAT * self.settled / CLOSELY)
 
     def staged_descent(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation, float | None]:
-        """Descends until convergence: in one stage if the gain has a limit, otherwise in stages with a growing gain."""
+        """Performs descents until convergence: in one stage if the gain has a limit, otherwise in stages with a growing gain."""
         if self.problem.gain is not None:
             return *self.converge(x, evaluation), None
         size = float(np.abs(x).max()) or 1.0
@@ -303,7 +312,9 @@ class MinimaxSearch:
         return x, evaluation
 
     def add_violating_errors(self, x: Array, evaluation: Evaluation) -> bool:
-        """Searches for gain errors that worsen a goal or bound at a point, and activates them. Returns True if it finds any."""
+        """Searches for gain errors that increase a goal or violate a bound at a point, and activates them. Returns True if such
+        gain errors are found.
+        """
         if not self.problem.has_errors:
             return False
         worst = self.worst.beyond(self.full.gain(x), evaluation.goal, self.rate)
@@ -319,7 +330,7 @@ class MinimaxSearch:
         return list({each.key: each for each in errors if each.key not in met}.values())
 
     def activate(self, errors: Sequence[GainErrors]) -> None:
-        """Activates gain errors: the goals and bounds with these errors are added to the problem."""
+        """Activates gain errors: adds the goals and the bounds with these errors to the problem."""
         self.active_errors += errors
         goals, bounds = objectives_of(self.problem, self.full, errors, self.rate)
         self.minimax.goals += goals

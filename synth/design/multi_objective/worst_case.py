@@ -1,6 +1,6 @@
-"""Search for the worst gain errors: at the vertices of the box for a norm, in the whole box for the slowest pole.
+"""Search for the worst gain errors: for a norm, at the vertices of the box of errors; for the slowest pole, in the whole box.
 
-A loop with errors is the same as a loop without errors that has the gain (1 + forces) K (1 + sensors).
+A loop with gain errors is the same as a loop without errors that has the gain (1 + forces) K (1 + sensors).
 """
 
 from collections.abc import Iterator
@@ -35,8 +35,8 @@ class WorstCaseErrors:
     def beyond(self, K: Array, goal: float, rate: float) -> Iterator[tuple[float, GainErrors]]:
         """Yields, for every member, the worst errors found for the goal, for each bound on a norm, and for the decay rate.
 
-        Each item contains the errors and a value relative to the known goal or to the bound. A value above 1 means that the
-        errors are worse than all known errors.
+        Each item contains the gain errors, and the value that they cause, divided by the known goal or by the bound. A value
+        above 1 means that the gain errors of the item are worse than all known errors.
 
         Args:
             K: gain, shape (m, q).
@@ -53,10 +53,10 @@ class WorstCaseErrors:
                 yield self.of_decay(i, rate, K)
 
     def of_norm(self, i: int, norm: NormSpecification, unit: float, K: Array) -> tuple[float, GainErrors]:
-        """Returns the largest norm of a member, relative to `unit`, and the errors that cause it.
+        """Returns the largest norm of a member, divided by `unit`, and the gain errors that cause this norm.
 
-        If there are few errors, all vertices of the box are tried. If there are many errors, the search changes one error at a
-        time.
+        If there are few gain errors, all vertices of the box are tried. If there are many gain errors, the search changes one
+        error at a time.
         """
         landscape = self.landscape(i, norm.which, norm.band)
 
@@ -88,19 +88,20 @@ class WorstCaseErrors:
         return best, self._errors(worst)
 
     def of_decay(self, i: int, rate: float, K: Array) -> tuple[float, GainErrors]:
-        """Returns the value of `Decay` for the slowest pole of a member, and the errors that cause it."""
+        """Returns the value of `Decay` for the slowest pole of a member, and the gain errors that cause this value."""
         real, errors = self.slowest(i, K)
         return min(2 + real / rate, NOT_STABLE), errors
 
     def unstable(self, K: Array) -> list[GainErrors]:
-        """Returns the worst errors of each member that errors can make unstable."""
+        """Returns, for each member that gain errors can make unstable, the worst errors."""
         if not len(self.free):
             return []
         slowest_of = (self.slowest(i, K) for i in range(len(self.problem.members)))
         return [errors for real, errors in slowest_of if not real < 0]
 
     def slowest(self, i: int, K: Array) -> tuple[float, GainErrors]:
-        """Returns the largest real part of the poles that the gain can change [rad/s] for all tried errors, and the worst errors.
+        """Returns the largest real part of the poles that the gain can change [rad/s], over all gain errors that were tried,
+        and the worst errors.
 
         The value is infinite if a loop is ill-posed. For a discrete plant, the poles of its continuous counterpart are used.
         """
@@ -127,12 +128,12 @@ class WorstCaseErrors:
                 return best, self._errors(worst)
 
     def _vertices(self) -> Array:
-        """Returns all vertices of the box, as multiples of its half-widths, shape (2^k, q + m)."""
+        """Returns all vertices of the box of gain errors, as multiples of the half-widths of the box, shape (2^k, q + m)."""
         ends = np.sign(self.sides)
         return Box(-ends, ends).vertices
 
     def _slowest(self, i: int, K: Array, signs: Array) -> Array:
-        """Returns the largest real parts of poles, shape (N,), for errors in units of the box, shape (N, q + m)."""
+        """Returns the largest real parts of poles, shape (N,), for gain errors in units of the box, shape (N, q + m)."""
         landscape = self.landscape(i, self.problem.minimise.which, self.problem.minimise.band)
         points = (self._acting(K, signs) / landscape.scale).reshape(len(signs), -1)
         own, plant = slice(landscape.own), landscape.plant
@@ -163,7 +164,7 @@ def worst_of_norm(
         problem: multi-objective problem of the member.
         i: index of the member.
         norm: norm that is evaluated; None for the decay rate.
-        unit: reference value, relative to which the result is given; for the decay rate, the required rate [rad/s].
+        unit: reference value by which the result is divided; for the decay rate, the required rate [rad/s].
         K: gain, shape (m, q).
     """
     worst = WorstCaseErrors(problem)

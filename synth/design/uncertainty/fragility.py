@@ -1,8 +1,9 @@
-"""Fragility of a law: errors of measurements, forces and coefficients that it tolerates, and their effect on the norm.
+"""Fragility of a law: the errors of measurements, forces and coefficients that the loop tolerates, and the effect of these
+errors on the norm.
 
 Each margin has two limits: a box of errors for which the property is proved, and errors for which the property fails. If there
 is one force, an error of this force has the same effect as equal errors of all measurements. If there are several forces, each
-force has its own error in addition.
+force also has its own error.
 """
 
 import math
@@ -45,8 +46,8 @@ def round_law(law: LinearLaw, to: str) -> LinearLaw:
     """Returns a law with its matrices rounded to another number format.
 
     Args:
-        to: number format "int16" or "float16". For "int16", numbers are relative to the largest entry of each matrix. For
-            "float16", a matrix with too large an entry is divided by a power of two.
+        to: number format "int16" or "float16". For "int16", the entries of each matrix are stored relative to the largest entry
+            of the matrix. For "float16", a matrix with too large an entry is first divided by a power of two.
     """
     number = {"int16": _int16, "float16": _float16}[to]
     return LinearLaw(number(law.A), number(law.B), number(law.C), number(law.D), law.sample_period)
@@ -84,14 +85,14 @@ LOOSELY = 4.0  # a proof of stability uses a bound on the norm that is this mult
 
 @dataclass(frozen=True, eq=False)
 class ErrorMargin:
-    """Margin of relative gain errors: a size that is proved harmless, and a size that is harmful.
+    """Margin of relative gain errors: a size of errors that is proved harmless, and a size that is harmful.
 
     Attributes:
-        proved_margin: errors up to this size, in any combination, are proved harmless; 0 if nothing is proved.
+        proved_margin: size up to which errors, in any combination, are proved harmless; 0 if nothing is proved.
         bound: proved bound on the norm for all errors up to `proved_margin`; infinite if nothing is proved.
-        smallest_violation: size of the smallest harmful errors found; infinite if no errors up to 1 are harmful.
+        smallest_violation: size of the smallest harmful errors that were found; infinite if no errors up to 1 are harmful.
         readings, forces: smallest harmful relative errors of measurements and forces, shapes (q,) and (m,). If no errors are
-            harmful, these are the errors of size 1 along the worst ray.
+            harmful, the attributes contain the errors of size 1 along the worst ray.
         proof: type of the proof; empty if nothing is proved.
     """
 
@@ -123,14 +124,14 @@ class Fragility:
 
     @cached_property
     def within(self) -> dict[float, ErrorMargin]:
-        """Margin of errors for each allowed relative increase of the norm."""
+        """Margin of errors for each allowed relative increase of the norm; this increase is the key."""
         with numerics():
             return {share: _error_margin(self.heights, self.rays, self.norm * (1 + share)) for share in self.shares}
 
 
 @numerics()
 def fragility(gain: ScaledGain, norms: bool = True) -> Fragility:
-    """Computes the errors that a loop tolerates. The loop must be stable without errors.
+    """Computes which relative errors of measurements and forces a loop tolerates. The loop must be stable without errors.
 
     Args:
         gain: loop with factors for its measurements and forces.
@@ -168,7 +169,9 @@ def _rays(heights: WorstCaseNormFunction) -> Array:
 
 
 def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> ErrorMargin:
-    """Returns the margin of errors for which the norm stays below a level or, for an infinite level, the loop stays stable."""
+    """Returns the margin of errors for which the norm stays below a level; for an infinite level, the margin for which the loop
+    stays stable.
+    """
     gain = heights.gain
     amount, errors = _along_rays(heights, rays, level)
     for _ in range(TURNS):
@@ -198,9 +201,10 @@ def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> 
 
 
 def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tuple[float, Array]:
-    """Returns the smallest size of errors along the rays for which the norm exceeds a level, and these errors.
+    """Returns the smallest size of errors along the rays for which the norm exceeds a level, and the errors with this size.
 
-    If the norm never exceeds the level, the size is infinite. The errors are then the end of the ray with the largest norm.
+    If the norm never exceeds the level, the size is infinite. For an infinite size, the errors are those at the end of the ray
+    with the largest norm.
     """
     best, at = np.inf, None
     for ray in rays:
@@ -285,7 +289,7 @@ def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[
 
 
 def proved_text(report: Fragility) -> str:
-    """Returns the proved margins as text."""
+    """Returns the proved margins of gain errors as text."""
     text = f"stability is {_proved_text(report.stable, 'each error')}"
     for share, one in report.within.items():
         beyond = f"; errors of {_percents(one.smallest_violation)} violate it" if math.isfinite(one.smallest_violation) else ""

@@ -1,7 +1,7 @@
 """Bounds for all loops in a box of constant gain errors, proved by multipliers that are constant over intervals of frequency.
 
-A loop with errors is opened at the errors, p_k = delta_k q_k with real delta_k and |delta_k| <= 1. This gives one plant from
-[p; w] to [q; z]. For any diagonal matrices D >= 0 and G, the errors satisfy
+A loop with gain errors is opened at the errors, where p_k = delta_k q_k with real delta_k and |delta_k| <= 1. The opened loop
+is one plant from [p; w] to [q; z]. For any diagonal matrices D >= 0 and G, the errors satisfy
 
     q* D q - p* D p >= 0,    j (p* G q - q* G p) = 0.
 
@@ -10,8 +10,8 @@ At a given frequency, the norm from w to z is therefore at most gamma if, for al
     |z|^2 - gamma^2 |w|^2 + q* D q - p* D p + j (p* G q - q* G p)  <=  0
 
 (Fan, Tits, Doyle 1991, Robustness in the presence of mixed parametric uncertainty and unmodeled dynamics, IEEE Transactions on
-Automatic Control 36). If the same form without w and z is negative at all frequencies, no errors in the box move a pole across
-the imaginary axis. If the middle of the box is stable, the whole box is then stable.
+Automatic Control 36). If the left side, without w and z, is negative at all frequencies, no errors in the box move a pole
+across the imaginary axis. If the loop is then stable for the middle of the box, the loop is stable for the whole box.
 
 The proof divides the frequencies into intervals with constant D and G. Frequencies at which the form is singular show whether
 the form is negative in the whole interval, as in `structured_bound.py`. The proof needs no grid of frequencies and does not
@@ -74,7 +74,7 @@ def cut_loop(gain: ScaledGain, box: Box) -> StructuredLoop:
 
 @dataclass(frozen=True, eq=False)
 class MultiplierForm:
-    """Hermitian form of a loop for one choice of multipliers.
+    """Hermitian form in p and w that must be negative to prove a bound for a loop, for one choice of multipliers.
 
     Attributes:
         loop: closed loop, opened at its k gain errors.
@@ -131,7 +131,7 @@ class MultiplierForm:
     def negative(self, low: float, high: float) -> bool:
         """Returns True if the form is negative in an interval of frequencies [rad/s], including the lower end.
 
-        Between two neighbouring singular frequencies, the form is negative either everywhere or nowhere.
+        Between two neighbouring singular frequencies, the form is negative either at all frequencies or at none.
         """
         singular = self.singular()
         inside = singular[(singular > low) & (singular < high)]
@@ -163,7 +163,7 @@ class MultiplierInterval(NamedTuple):
 
 
 def fill(parts: Sequence[MultiplierInterval], low: float, high: float) -> bool:
-    """Returns True if the intervals cover a band without gaps."""
+    """Returns True if the intervals cover a frequency band without gaps."""
     ends = [low, *(part.high for part in parts)]
     return bool(parts) and not any(part.low > end for part, end in zip(parts, ends, strict=False)) and ends[-1] >= high
 
@@ -206,14 +206,14 @@ class MultiplierProof:
 def bound_in_band(
     gain: ScaledGain, box: Box, low: float, high: float, first: float, tries: int = MOST_PEAKS
 ) -> MultiplierProof | None:
-    """Returns a proof of a bound for a whole box, close to the largest norm in a band; None if no proof is found.
+    """Returns a proof of a bound for a whole box of errors, close to the largest norm in a band; None if no proof is found.
 
     A bound for only some frequencies does not imply stability.
 
     Args:
-        gain: loops with factors on measurements and forces, in continuous time; stable at the middle of the box.
+        gain: loops with factors on measurements and forces, in continuous time; the loop at the middle of the box is stable.
         low, high: lower and upper end of the band [rad/s]; `high` may be infinite.
-        first: first bound to try, just above the largest norm found.
+        first: first bound to try, just above the largest norm that was found.
         tries: number of bounds that are tried.
     """
     if not 0 < first < np.inf or not len(box.uncertain) or not gain.well_posed(box):
@@ -234,7 +234,7 @@ def bound_in_band(
 
 
 def stable_in_box(gain: ScaledGain, box: Box) -> MultiplierProof | None:
-    """Returns a proof that all loops of a box are stable; None if no proof is found."""
+    """Returns a proof that the loop is stable for all errors in a box; None if no proof is found."""
     if not len(box.uncertain) or not gain.well_posed(box):
         return None
     if not gain.stable(box.vertices if len(box.uncertain) <= MOST else box.middle):
@@ -257,7 +257,8 @@ def cover(
     form: Callable[[Array], MultiplierForm],
     most: int = MOST_PARTS,
 ) -> tuple[float, float] | None:
-    """Adds intervals that prove a bound until the intervals cover a band. Returns None if the band is covered.
+    """Adds intervals in which a bound is proved, until the intervals cover a frequency band. Returns None if the band is
+    covered.
 
     If the band is not covered, returns the smallest provable bound and the frequency where the proof fails. The bound is
     infinite if no bound can be proved, or if more than `most` intervals are needed.
@@ -299,7 +300,7 @@ class _Search:
         self.fastest = float(np.abs(np.linalg.eigvals(loop.loop.A)).max())
 
     def cover(self, parts: list[MultiplierInterval], low: float, high: float, gamma: float) -> float | None:
-        """Adds intervals that prove a bound; see the function `cover`.
+        """Adds intervals in which a bound is proved; see the function `cover`.
 
         Returns None if the band is covered, otherwise the smallest provable bound.
         """
@@ -337,8 +338,8 @@ class _Search:
 def _multipliers(T: Array, k: int, square: float, start: Array | None) -> tuple[float, Array | None]:
     """Returns a provable gamma^2 for a frequency response, and central multipliers [D, G] for a given gamma^2, shape (2 k,).
 
-    If the given gamma^2 is too low, the result is the smallest provable gamma^2, and None for D and G. This gamma^2 is infinite
-    if nothing can be proved.
+    If the given gamma^2 is too low for this response, the result is the smallest provable gamma^2, and None for D and G. The
+    smallest provable gamma^2 is infinite if nothing can be proved.
 
     Args:
         start: [D, G] of a similar frequency response; None if unknown.

@@ -1,4 +1,6 @@
-"""Law for a plant with gain errors of measurements and forces, as a gain between two sets of factors, and the box of errors."""
+"""Law for a plant with gain errors: a gain between factors for the measurements and factors for the forces, and the box of
+errors.
+"""
 
 import numpy as np
 
@@ -11,7 +13,8 @@ from synth.plant.generalized import Plant, law_gain, real_matrix
 
 
 def scaled_gain(plant: Plant, law: Array | LinearLaw) -> ScaledGain:
-    """Returns the loops of a law whose measurements and forces are multiplied by factors. The states of the law have no errors.
+    """Returns the loops of a law as a function of factors that multiply its measurements and forces. The states of the law have
+    no errors.
 
     Args:
         plant: generalised plant with n states, m inputs and q measurements; continuous or discrete, like the law. Only a
@@ -33,7 +36,7 @@ def scaled_gain(plant: Plant, law: Array | LinearLaw) -> ScaledGain:
 def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
     """Returns the box of factors for relative errors of up to +-d in the measurements and +-e in the forces.
 
-    The errors are independent of each other. The factor of an unused measurement or force is 1.
+    The errors are independent of one another. The factor of an unused measurement or force is 1.
 
     Args:
         gain: loop with q measurements and m forces, in addition to the states of a law.

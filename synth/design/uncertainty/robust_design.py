@@ -1,10 +1,11 @@
 """D-K iteration: design of a law with better robust performance (smaller mu) than the law with the smallest norm.
 
 For a given law, the best scale of each error is a function of frequency. A stable first-order filter with a stable inverse
-approximates the magnitude of this scale where mu is large. If these filters are added at the inputs and outputs of the loop,
-the norm of the loop is an upper bound on mu. A design that minimises the norm lowers this bound (D-K iteration; Doyle 1985;
-Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 11.4). Each of these two steps is nearly optimal, but alternating
-between them need not find the best law. Each law is evaluated by its own proved bound on mu, and the best law is kept.
+approximates the magnitude of the best scale at frequencies where mu is large. If the filters for all errors are added at inputs
+and outputs of the loop, the norm of the loop bounds mu from above. A design that minimises the norm lowers the bound on mu (D-K
+iteration; Doyle 1985; Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 11.4). Each of the two steps, scaling and
+design, is nearly optimal, but alternating between the steps need not find the best law. Each law is evaluated by a separately
+proved bound on mu, and the best law is kept.
 """
 
 from dataclasses import replace
@@ -45,7 +46,9 @@ def mu(problem: DesignProblem, progress: Progress) -> DesignResult:
     best = [first]
 
     def turns(problem: DesignProblem, law: LinearLaw) -> DesignResult:
-        """Computes the scales for a law, designs a law for these scales, and repeats both steps. Returns the best law."""
+        """Computes the scales for a law, designs a law for these scales, and repeats both steps several times. Returns the law
+        with the smallest bound on mu.
+        """
         lowest, loop = first, errors.closed_by(problem.as_run(law))
         of_state = np.any(errors.plant.Cy != 0, axis=1)
         for _ in range(TURNS):
@@ -80,10 +83,10 @@ def mu(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def scaled_plant(plant: Plant, k: int, filters: list[tuple[StateSpace, StateSpace]]) -> Plant:
-    """Returns the plant with scaling filters at the inputs and outputs of its k errors.
+    """Returns the plant with scaling filters at the inputs and outputs of the k errors.
 
     Args:
-        filters: two filters for each error: the scale of q, and the inverse, whose output is p.
+        filters: two filters for each error: the filter that scales q, and the inverse filter, whose output is p.
     """
     outputs = append(gain(np.eye(len(plant.C) - k)), *(scale for scale, _ in filters))
     inputs = append(gain(np.eye(plant.Bw.shape[1] - k)), *(inverse for _, inverse in filters))
@@ -91,7 +94,9 @@ def scaled_plant(plant: Plant, k: int, filters: list[tuple[StateSpace, StateSpac
 
 
 def scaling_filters(loop: StructuredLoop) -> list[tuple[StateSpace, StateSpace]]:
-    """Returns two filters for each error: a first-order fit to the best scale over frequency, and the inverse filter."""
+    """Returns two filters for each error: a first-order fit to the best scale as a function of frequency, and the inverse
+    filter.
+    """
     k, grid, units = loop.errors, loop.grid, loop.units
     M = loop.at(grid)
     M[:, -k:] *= units[:, None]
@@ -105,7 +110,7 @@ def scaling_filters(loop: StructuredLoop) -> list[tuple[StateSpace, StateSpace]]
 
 
 def _first_order(grid: Array, logarithms: Array, weight: Array) -> tuple[StateSpace, StateSpace]:
-    """Returns the filter g (s + a) / (s + b), fitted to a magnitude over frequency, and its inverse."""
+    """Returns the filter g (s + a) / (s + b), fitted to a magnitude as a function of frequency, and the inverse filter."""
     low, high = np.log(grid[[0, -1]])
 
     def off(x: Array) -> Array:

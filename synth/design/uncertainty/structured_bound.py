@@ -5,9 +5,9 @@ mu(M) is at most the largest singular value of D M D^-1 (Doyle 1982; Packard, Do
 Automatica 29). A loop stays stable for all errors smaller than 1 / mu. With the performance block, mu <= gamma also means that
 the norm from w to z is at most gamma for all errors of size 1 / gamma.
 
-The proof is the same as in `multipliers.py`, for errors of size 1 / gamma. In this proof, D contains the squares of the scales,
-and G is 0 because errors that depend on frequency have a phase. If no scales give |D M D^-1| < gamma at some frequency, gamma
-is too low, and a higher peak is near this frequency.
+The proof is as in `multipliers.py`, for errors of size 1 / gamma. In the proof, D contains the squares of the scales, and G is
+0 because errors that depend on frequency have a phase. If no scales give |D M D^-1| < gamma at some frequency, gamma is too
+low, and a higher peak is near this frequency.
 
 The largest singular value is a convex function of the logarithms of the scales. The Schatten norm of the matrix is also convex,
 and it is smooth. As the exponent of the Schatten norm grows, this norm tends to the largest singular value.
@@ -49,7 +49,7 @@ class StructuredBound:
     Attributes:
         gamma: proved bound; infinite if the loop without errors is not stable.
         peak_frequency: frequency at which the bound has its maximum, for the best scales at each frequency [rad/s].
-        parts: intervals of frequency from 0 to infinity, each with its scales.
+        parts: intervals that cover all frequencies from 0 to infinity, each with its scales.
     """
 
     gamma: float
@@ -57,7 +57,7 @@ class StructuredBound:
     parts: tuple[MultiplierInterval, ...]
 
     def holds(self, structured: StructuredLoop) -> bool:
-        """Returns True if the intervals prove the bound for a loop; level sets are used for this check."""
+        """Returns True if the intervals with their scales prove the bound for a loop, which is checked by level sets."""
         if not fill(self.parts, 0.0, np.inf) or not is_stable(structured.loop.A):
             return False
         return all(_form(structured, self.gamma, part.D).negative(part.low, part.high) for part in self.parts)
@@ -95,7 +95,7 @@ def structured_bound(structured: StructuredLoop) -> StructuredBound:
 
 
 def best_scales(M: Array, errors: int, start: Array | None = None, enough: float = 0.0) -> tuple[float, Array]:
-    """Returns the smallest |D M D^-1| over all scales D, and the logarithms of the best scales, shape (k,).
+    """Returns the smallest norm |D M D^-1| over all scales D, and the logarithms of the best scales, shape (k,).
 
     Args:
         M: matrix, complex, shape (d + k, r + k).
@@ -150,7 +150,7 @@ class _Search:
         self.last = np.zeros(structured.errors)
 
     def scales(self, omega: float, enough: float = 0.0) -> tuple[float, Array]:
-        """Returns the bound that the best scales give at a frequency, and these scales; see `best_scales`."""
+        """Returns the bound on mu that the best scales give at a frequency, and the best scales; see `best_scales`."""
         k = self.structured.errors
         M = self.structured.at(np.array([omega]))[0]
         M[-k:] *= self.units[:, None]
@@ -167,7 +167,9 @@ class _Search:
         return [0.0, *grid[inner[gains[inner].argsort()[-REFINED_PEAKS:]]].tolist()]
 
     def climb(self, omega: float) -> tuple[float, float]:
-        """Returns a local peak of the bound with the best scales, near a given frequency, and the peak frequency [rad/s]."""
+        """Returns a local peak of the bound on mu with the best scales, near a given frequency, and the frequency of the peak
+        [rad/s].
+        """
         best, width = (self.scales(omega)[0], omega), WIDEST
         while omega > 0 and width > NARROWEST:
             near = [best[1] * (1 - width), best[1] * (1 + width)]

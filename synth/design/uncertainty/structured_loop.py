@@ -5,8 +5,7 @@ own weight W and its own Delta. A Delta is any stable linear system with a norm 
 and Optimal Control, sections 9.1 and 11.2). If the loop is opened at the Deltas, it has the additional inputs p = Delta q and
 the additional outputs q = W u or W y.
 
-The output z contains the requested forces u, without errors. In contrast, a measurement of a force contains the force with its
-error.
+The output z contains the requested forces u, without errors. In contrast, a measured force contains the error of this force.
 """
 
 from collections.abc import Sequence
@@ -30,7 +29,7 @@ class StructuredLoop:
     """Loop M with k errors. The last k inputs of the loop are p, and the last k outputs are q.
 
     Attributes:
-        loop: system M from [w; p] to [z; q], shape (d + k, r + k); from p to q if there is no performance block.
+        loop: system M from [w; p] to [z; q], shape (d + k, r + k); only from p to q if there is no performance block.
         errors: number k of errors.
     """
 
@@ -49,11 +48,15 @@ class StructuredLoop:
         return len(self.loop.C) > self.errors
 
     def at(self, omega: Array) -> Array:
-        """Returns M(j omega), complex, shape (F, d + k, r + k), at finite frequencies [rad/s], shape (F,)."""
+        """Returns the complex frequency response M(j omega) of the loop, shape (F, d + k, r + k), at finite frequencies
+        [rad/s], shape (F,).
+        """
         return self.loop.frequency_response(omega)
 
     def scaled(self, scales: Array) -> Plant:
-        """Returns D M D^-1 for positive scales of shape (k,). D multiplies each q, and D^-1 multiplies each p."""
+        """Returns the scaled loop D M D^-1 for positive scales of shape (k,). The scales D multiply each q, and their inverses
+        multiply each p.
+        """
         M, k = self.loop, self.errors
         C, Dw, Bw = M.C.copy(), M.Dw.copy(), M.Bw.copy()
         C[-k:] *= scales[:, None]

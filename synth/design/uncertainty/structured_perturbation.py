@@ -1,10 +1,11 @@
-"""Nearly worst errors of a loop with structured errors, found by power iteration at one frequency, and verified.
+"""Nearly worst perturbation of a loop with structured errors, found by power iteration at one frequency, and verified.
 
 At one frequency, the structured singular value is the largest spectral radius of Q M over all unitary Q with the structure of
 the errors (Doyle 1982). The power iteration of Packard, Fan and Doyle (1988, A power method for the structured singular value,
-CDC) searches for this Q. Any Q gives a lower bound. A stable first-order all-pass can have the required phase of an error at
-this frequency, so the errors are realised as linear systems of equal norm. The loop with these errors is then checked: it is
-either unstable, or its norm gives the lower bound.
+CDC) searches for the Q with the largest spectral radius. Any unitary Q with the structure of the errors gives a lower bound on
+the structured singular value. At one frequency, a stable first-order all-pass can have the required phase of an error, so
+linear systems of equal norm realise the errors. The loop with the all-pass errors is then checked: it is either unstable, or
+its norm gives the lower bound.
 """
 
 from collections.abc import Sequence
@@ -52,7 +53,7 @@ class WorstErrors:
 
 
 def worst_errors(structured: StructuredLoop, omega: float) -> WorstErrors:
-    """Returns the worst errors that are found at a frequency and verified on the loop; mu is 0 if no such errors are found.
+    """Returns the worst errors that are found at a frequency and verified on the loop; `mu` is 0 if no such errors are found.
 
     Args:
         structured: loop that is stable without errors.
@@ -123,7 +124,7 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -
 
 
 def _norm(closed: Plant | None, structured: StructuredLoop) -> float:
-    """Returns the norm of a loop; infinite if the loop is not stable, and 0 if there is no loop or no performance block."""
+    """Returns the norm of a loop; infinite if the loop is not stable, and 0 if no loop or no performance block exists."""
     if closed is None:
         return 0.0
     if not is_stable(closed.A):

@@ -4,10 +4,10 @@ The matrix X that proves the bound is found by Newton's method on a barrier func
 
     minimise t   so that   (20) of every loop  <=  t I,   X > 0,
 
-In the coordinates of this problem, the first X is I. If t is below zero, X proves the bound. Usually, only a few corners of the
-box determine the bound. The search starts with some corners, and adds the corners at which the current X violates (20). If no X
-is found, the box is divided into parts, each with its own X. If this division does not prove a tight bound, multipliers
-(`multipliers.py`) are tried, because a common X is conservative for constant errors.
+The problem is solved in coordinates in which the first X is I. If t is below zero, X proves the bound. Usually, only a few
+corners of the box determine the bound. The search starts with some corners, and adds the corners at which the current X
+violates (20). If no X is found, the box is divided into parts, each with its own X. If the division into parts does not prove a
+tight bound, multipliers (`multipliers.py`) are tried, because a common X is conservative for constant errors.
 """
 
 from collections.abc import Callable
@@ -40,7 +40,7 @@ SEED = 20261122
 
 
 class WorstCaseNormFunction:
-    """Norm as a function of the factors on measurements and forces. The object stores the largest norm found.
+    """Norm as a function of the factors on measurements and forces. The object stores the largest norm computed so far.
 
     Attributes:
         highest: largest norm found so far; infinite if an unstable loop was found.
@@ -54,9 +54,9 @@ class WorstCaseNormFunction:
         self._known: dict[bytes, tuple[float, float]] = {}
 
     def exceeds(self, factors: Array, level: float) -> bool:
-        """Returns True if the norm exceeds a level or, for an infinite level, if the loop is unstable.
+        """Returns True if the norm exceeds a level; for an infinite level, returns True if the loop is unstable.
 
-        The stored largest norm is not updated.
+        The largest norm that is stored in the object is not updated.
         """
         try:
             point = self.landscape.point(self.gain.acting(factors))
@@ -92,7 +92,9 @@ class WorstCaseNormFunction:
 
 
 def local_maximum(heights: WorstCaseNormFunction, box: Box) -> None:
-    """Searches for the largest norm in a box, and stores it in `heights`. The search ends if it finds an unstable loop."""
+    """Searches for the largest norm in a box of errors, and stores this norm in `heights`. The search ends if an unstable loop
+    is found.
+    """
     free = box.uncertain
     points = box.vertices if len(free) <= ALL else vertex_search(heights, box)
     points = np.concatenate([points, box.middle[None]])
@@ -108,9 +110,9 @@ def local_maximum(heights: WorstCaseNormFunction, box: Box) -> None:
 
 
 def vertex_search(heights: WorstCaseNormFunction, box: Box) -> Array:
-    """Returns k corners at which changing any single factor does not increase the norm, shape (k, q + m).
+    """Returns k corners of the box at which changing any single factor does not increase the norm, shape (k, q + m).
 
-    If the loop in the middle of the box is unstable, the result is the middle.
+    If the loop in the middle of the box is unstable, the middle is returned instead.
     """
     free, middle = box.uncertain, box.middle
     if not np.isfinite(heights.norm(middle)):
@@ -158,7 +160,9 @@ def _inside(heights: WorstCaseNormFunction, box: Box, start: Array) -> None:
 
 
 def norm_at(gain: ScaledGain, factors: Array) -> float:
-    """Returns the norm with given factors by two methods; infinite if the loop is unstable or not well-posed."""
+    """Returns the norm of the loop with given factors, computed by two methods; infinite if the loop is unstable or not
+    well-posed.
+    """
     try:
         loop = gain.loop(factors)
     except np.linalg.LinAlgError:
@@ -246,7 +250,9 @@ def _trials(heights: WorstCaseNormFunction) -> int:
 
 
 def search_bound(heights: WorstCaseNormFunction, box: Box) -> Proof | None:
-    """Proves, for a box, a bound just above the largest norm found. Larger norms that are found in the process are stored."""
+    """Proves, for a box of errors, a bound just above the largest norm that was found. If the proof finds a larger norm, this
+    norm is stored.
+    """
 
     def tried(above: float, parts: Parts, left: int) -> tuple[Parts | None, int]:
         return _prove_parts(heights, parts, lambda: heights.highest * (1 + above), left)
@@ -271,11 +277,12 @@ def search_bound(heights: WorstCaseNormFunction, box: Box) -> Proof | None:
 
 
 def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float, patience: float = CHEAPLY) -> Proof | None:
-    """Proves a given bound, with an X for each part of the box or with multipliers. Larger norms that are found are stored.
+    """Proves a given bound for a box of errors, with an X for each part of the box, or with multipliers. If the proof finds a
+    larger norm, this norm is stored.
 
     Args:
         patience: factor on the usual number of attempts to find an X; if there are many errors, only one attempt is made. If
-            the factor is below 1 and there are many errors, multipliers are tried first.
+            `patience` is below 1 and there are many errors, multipliers are tried first.
 
     Returns:
         The proof, or None if no proof is found.
@@ -306,10 +313,10 @@ def _proof(parts: Parts, bound: float) -> BoxProof:
 
 
 def _prove_parts(heights: WorstCaseNormFunction, parts: Parts, bound: Callable[[], float], left: int) -> tuple[Parts | None, int]:
-    """Divides a box into parts, each with an X that proves a bound.
+    """Divides a box of errors into parts, each with an X that proves a bound.
 
     Returns:
-        The parts, and the number of remaining attempts to find an X. The parts are None if the division did not succeed.
+        The parts, and the number of attempts to find an X that remain. The parts are None if the division did not succeed.
     """
     todo, done = list(parts), Parts()
     if any(len(part.uncertain) > MOST for part, _ in parts):
@@ -333,7 +340,7 @@ def _prove_parts(heights: WorstCaseNormFunction, parts: Parts, bound: Callable[[
 
 
 def _x_for(heights: WorstCaseNormFunction, box: Box, eta: float) -> Array | None:
-    """Returns an X that proves a bound for a box; None if no X is found."""
+    """Returns an X that proves a bound for a box of errors; None if no X is found."""
     gain, level = heights.gain, eta**-0.5
     norm = heights.norm(box.middle)
     if not norm < level or not gain.well_posed(box):
@@ -385,7 +392,9 @@ class WorstNorm:
 
     @property
     def unstable(self) -> bool:
-        """True if a loop in the box is unstable. The attributes `readings` and `forces` are then the errors of this loop."""
+        """True if a loop in the box is unstable. If a loop is unstable, the attributes `readings` and `forces` are the errors
+        of this loop.
+        """
         return bool(np.isinf(self.found))
 
 
@@ -400,7 +409,8 @@ def worst_norm(
     through: Array | None = None,
     enough: Positive | None = None,
 ) -> WorstNorm:
-    """Searches for the worst H-infinity norm with relative gain errors of every measurement and force, and proves a bound on it.
+    """Searches for the largest H-infinity norm with relative gain errors of every measurement and force, and proves an upper
+    bound on this norm.
 
     With errors, the gain K_ij becomes K_ij (1 + a_j) (1 + b_i). The errors |a_j| <= d_j and |b_i| <= e_i are independent of
     each other.
@@ -408,16 +418,16 @@ def worst_norm(
     Args:
         plant: generalised plant with n states and m inputs; continuous or discrete.
         Cy: measurement matrix, shape (q, n). Default: the Cy of the plant.
-        K: gain of u = K y, shape (m, q); or a law with states, whose measurements and forces have the errors.
+        K: gain of u = K y, shape (m, q); or a law with states, to whose measurements and forces the errors apply.
         d: largest relative error of all measurements, or of each measurement, shape (q,); 0.1 means 10 %.
         e: largest relative error of all forces, or of each force, shape (m,).
         Dyw: direct effect of w on the measurements, shape (q, r). Default: zero if Cy is given, otherwise the Dyw of the plant.
         through: direct effect of the forces on the measurements, shape (q, m); zero by default.
-        enough: a bound that is sufficient. If the proved bound is larger, a separate proof of this bound is tried. None if
-            there is no such bound.
+        enough: upper bound on the norm that is sufficient. If the proved bound is larger than `enough`, a separate proof of the
+            bound `enough` is tried. None if no bound is known to be sufficient.
 
     Returns:
-        The largest norm found, the errors that cause it, and the proved bound.
+        The largest norm found, the errors that cause this norm, and the proved bound.
 
     Raises:
         InputError: a matrix has the wrong shape or entries that are not finite, or an error is not from 0 to 1.
@@ -440,7 +450,7 @@ def worst_norm(
 
 
 def worst_in(gain: ScaledGain, box: Box, enough: float | None) -> WorstNorm:
-    """Returns the worst norm over a box of factors. For the arguments, see `worst_norm`."""
+    """Returns the largest norm over a box of factors, and a proved bound. For the arguments, see `worst_norm`."""
     heights = WorstCaseNormFunction(gain)
     local_maximum(heights, box)
     proof = search_bound(heights, box)
