@@ -1,15 +1,16 @@
 """H-infinity norm of a loop within a frequency band, computed from level sets and from a frequency sweep.
 
-The norm in a band is computed like the norm over all frequencies (`synth/analysis/norm.py`), by the same two methods. The
+The norm in a band is computed by the same two methods as the norm over all frequencies (`synth/analysis/norm.py`). The
 result is a pair of gains, called levels, that enclose the norm. At some frequency in the band, the gain reaches the lower
-level. The upper level is slightly higher, and the gain exceeds the upper level nowhere in the band. To check the upper level,
-the imaginary part of every eigenvalue of the Hamiltonian matrix is treated as a possible crossing, regardless of its real part.
-Between two neighbouring crossings, or between a crossing and an edge of the band, the gain is above the level either everywhere
-or nowhere.
+level. The upper level is slightly higher than the lower level, and the gain does not exceed the upper level anywhere in the
+band. To check the upper level, the imaginary part of every eigenvalue of the Hamiltonian matrix counts as a frequency of a
+possible crossing of the level. The real part of the eigenvalue is ignored. Between two neighbouring crossings, or between a
+crossing and an edge of the band, the gain is above the level either everywhere or nowhere.
 
-**A norm in a band does not imply stability**, and it implies nothing about other frequencies. For a stable loop, the norm is
-the largest amplification of a sinusoid in the band. An unstable loop also has a frequency response, but the response of this
-loop to a sinusoid never reaches a steady state. The norm of an unstable loop is therefore not an amplification.
+**A norm in a band does not imply stability**, and it implies nothing about frequencies outside the band. For a stable loop, the
+norm is the largest amplification of a sinusoid whose frequency is in the band. An unstable loop also has a frequency response,
+but the response of this loop to a sinusoid never reaches a steady state. The norm of an unstable loop is therefore not an
+amplification.
 """
 
 from dataclasses import dataclass
@@ -68,11 +69,11 @@ def norm_in_band(loop: Plant, low: float, high: float) -> BandNorm:
     Args:
         loop: loop in continuous or discrete time; for a plant with a controller, use `plant.closed_loop(...)`.
         low: lower edge of the band, at least 0 [rad/s].
-        high: upper edge of the band, above `low` [rad/s]; may be infinite. The gain of a discrete loop is periodic, so
-            frequencies above pi / dt add nothing.
+        high: upper edge of the band, above `low` [rad/s]; may be infinite. The gain of a discrete loop is periodic in
+            frequency, so the gains above pi / dt are the same as those below.
 
     Returns:
-        Largest gain, the frequency [rad/s] at which it occurs, and an upper bound on the gain in the band, as a `BandNorm`.
+        Largest gain, the frequency [rad/s] of this gain, and an upper bound on the gain in the band, as a `BandNorm`.
 
     Raises:
         InputError: the band is empty or out of range.

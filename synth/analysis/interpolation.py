@@ -8,7 +8,7 @@ conditions
 
     p_i' T(s_i) = y_i',        T(t_k) v_k = x_k.
 
-A stable T with a norm of at most gamma can satisfy these conditions only if Pick's matrix is positive semidefinite:
+A stable T with a norm of at most gamma can satisfy the interpolation conditions only if Pick's matrix is positive semidefinite:
 
     [ (gamma p_i' p_j* - y_i' y_j* / gamma) / (s_i + s_j*)    (p_i' x_k - y_i' v_k) / (t_k - s_i)                  ]
     [ *                                                       (gamma v_k* v_l - x_k* x_l / gamma) / (t_k* + t_l)   ]  >= 0.
@@ -16,18 +16,19 @@ A stable T with a norm of at most gamma can satisfy these conditions only if Pic
 Sources: Ball, Gohberg, Rodman 1990, Interpolation of Rational Matrix Functions, chapter 18; Zames, Francis 1983.
 
 If some inputs do not appear in z, M - s E can be singular at every s. The pairs [q; p] are therefore computed as [q; p] = N
-k with k' (Q - s U) = 0. Here Q - s U is the pencil of a `SynthesisInequality`. This pencil is regular, and it yields all pairs.
+k with k' (Q - s U) = 0. Here Q - s U is the pencil of a `SynthesisInequality`. The pencil Q - s U is regular, and it yields all
+pairs [q; p].
 
-On the imaginary axis, a single interpolation condition already proves that the norm is at least |x_k| / |v_k|. On this axis,
-the conditions of the plant come from its invariant points (see `invariant_point.py`). The conditions of the transposed plant
-come from disturbances that do not reach y at some frequency, or at infinity.
+On the imaginary axis, a single interpolation condition already proves that the norm is at least |x_k| / |v_k|. On the imaginary
+axis, the interpolation conditions of the plant come from its invariant points (see `invariant_point.py`). The interpolation
+conditions of the transposed plant come from disturbances that do not reach y at some frequency, or at infinity.
 
 A zero in the open half plane is usually not a floating-point number, so it is enclosed in a disk. Let (k, s) be close to a
-solution of these equations, and let R approximate the inverse of the derivative at (k, s). The residual below includes a bound
-on its own rounding error. An exact solution lies within the radius r around (k, s) if |R residual| + |I - R derivative| r + |R|
-|U| r^2 / 2 <= r (`radius_of_solution`). If several vectors k belong to a zero, additional equations select the vector that
-gives the largest bound. No controller reaches a value of gamma if some vector v satisfies v* P v < 0 for every Pick matrix P
-within the enclosures.
+solution of the equations k' (Q - s U) = 0 with a normalised k, and let R approximate the inverse of their derivative at (k, s).
+The residual in the inequality below includes a bound on the rounding error of the residual. An exact solution lies within the
+radius r around (k, s) if |R residual| + |I - R derivative| r + |R| |U| r^2 / 2 <= r (`radius_of_solution`). If several vectors
+k belong to a zero, additional equations select the vector that gives the largest bound. No controller reaches the norm gamma if
+some vector v satisfies v* P v < 0 for every Pick matrix P within the enclosures.
 """
 
 from collections.abc import Sequence
@@ -64,7 +65,7 @@ class Node(NamedTuple):
 
     Attributes:
         zero: approximate zero s [rad/s].
-        p: approximate direction of length 1, shape (d,).
+        p: approximate direction p in the space of z, of length 1, shape (d,).
         y: approximate vector y, shape (r,).
         radii: radii of the disks around `zero`, `p` and `y` that contain the exact values.
     """
@@ -86,8 +87,8 @@ def zero_limit(
     Args:
         plant: plant for which the bound holds. If the plant has no measurements, all states count as measured, and only zeros
             from u to z are used.
-        inequalities: inequalities of the plant and of the transposed plant; None if they are not computed yet. The second
-            inequality is None if the transposed plant is not used.
+        inequalities: synthesis inequalities of the plant and of the transposed plant; None if they are not computed yet. The
+            second inequality is None if the transposed plant is not used.
     """
     one, other = _sides(plant, inequalities)
     left, right = (_enclosed_nodes(side, side.zeros()) for side in (one, other))
@@ -114,7 +115,8 @@ def limit_at_zeros(plant: Plant, near: Zeros) -> float:
 
 
 def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
-    """Returns the lower bound on the norm that several interpolation conditions prove together; 0 if they prove nothing.
+    """Returns the lower bound on the norm that several interpolation conditions prove together; 0 if the conditions prove no
+    bound.
 
     A condition that is too close to an earlier condition is ignored.
     """
@@ -133,7 +135,7 @@ def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
 def _sides(
     plant: Plant, inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None
 ) -> "tuple[_Pencil, _Pencil]":
-    """Returns the equations of the plant and of the transposed plant; the second equations are empty if nothing is measured."""
+    """Returns the equations (`_Pencil`) of the plant and of the transposed plant; the latter are empty if nothing is measured."""
     if inequalities is None:
         inequalities = SynthesisInequality.of(plant), SynthesisInequality.of(plant.transposed) if len(plant.Cy) else None
     one, other = inequalities
@@ -189,7 +191,9 @@ class _Pencil(NamedTuple):
         return bool(sizes[-1] <= NEARLY * sizes[0])
 
     def strongest(self, s: complex) -> tuple[Array, Array]:
-        """Returns the unit vector k with the largest |y| / |p| and k' (Q - s U) near 0, and equations (rows) that select k."""
+        """Returns the unit vector k with the largest |y| / |p| of all k for which k' (Q - s U) is near 0, and equations (rows)
+        that select this k.
+        """
         basis = np.linalg.svd(self.Q - s * self.U)[0][:, self.U.shape[1] - 1 :].conj()
         p, y = basis.T @ self.c, basis.T @ self.b
         directions, sizes, _ = np.linalg.svd(p, full_matrices=False)
@@ -204,7 +208,7 @@ _EMPTY = _Pencil(*[np.zeros((0, 0))] * 4, rate=1.0, unit=1.0)
 
 
 def _enclosed_nodes(side: _Pencil, points: Sequence[complex]) -> list[Node]:
-    """Returns the interpolation conditions at zeros near the given points, if they can be enclosed in the right half plane."""
+    """Returns the interpolation conditions at those zeros near the given points that can be enclosed in the right half plane."""
     return [enclosure for point in points if (enclosure := _enclosed_near(side, complex(point) / side.rate)) is not None]
 
 
@@ -277,7 +281,7 @@ class _Pick:
                     self.errors[1, i, j] = self.errors[1, j, i] = error
 
     def at(self, gamma: float) -> Array:
-        """Returns Pick's matrix for this gamma, computed in floats."""
+        """Returns Pick's matrix for `gamma`, computed in floats."""
         return gamma * self.parts[0] + self.parts[1] - self.parts[2] / gamma
 
     def least(self) -> float:
@@ -289,7 +293,7 @@ class _Pick:
         return low
 
     def excludes(self, gamma: float) -> bool:
-        """Returns True if no Pick matrix within the error bounds is positive semidefinite for this gamma."""
+        """Returns True if no Pick matrix within the error bounds is positive semidefinite for `gamma`."""
         entries = self.at(gamma)
         direction = np.linalg.eigh(entries)[1][:, 0]
         form, size = float(np.real(direction.conj() @ entries @ direction)), np.abs(direction)

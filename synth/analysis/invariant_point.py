@@ -1,18 +1,19 @@
 """Lower bounds on the norm from invariant points: frequencies at which some direction of z is independent of the control.
 
 At one frequency, let z = Gw w + Gu u. No controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm
-of this part is a lower bound on the norm of every closed loop. For a suspension, this norm peaks at the invariant point of the
-wheel (Hedrick, Butsuen 1990).
+of the part that is orthogonal to Gu is a lower bound on the norm of every closed loop. For a suspension, this lower bound is
+largest at the invariant point of the wheel (Hedrick, Butsuen 1990).
 
-The frequency and the direction are first estimated in floats. The proof is a pair (q, p) with
+The frequency and the direction of z are first estimated in floats. The proof is a pair (q, p) with
 
     [q; p]* [A - j omega, B; C, D] = 0,     so that     p* z = (q* Bw + p* Dw) w     at omega for every u and every x.
 
-The proof is exact: some entries of q and p are floats, and the other entries are computed from these floats in integers. The
-existence of a pair therefore does not depend on any tolerance, even at a resonance or near a zero of Gu.
+The proof is exact, because some entries of q and p are floats, and the remaining entries are computed from these floats in
+integers. The existence of a pair therefore does not depend on any tolerance, even at a resonance or near a zero of Gu.
 
-At a pole on the imaginary axis that is unobservable in z, such as an integrator, more pairs exist than at nearby frequencies.
-The additional pairs exist because a stabilising controller must also cancel the effect of w on this mode.
+At a pole on the imaginary axis that is unobservable in z, such as an integrator, more pairs (q, p) exist than at nearby
+frequencies. The additional pairs exist because a stabilising controller must also cancel the effect of w on the unobservable
+mode.
 """
 
 import contextlib
@@ -43,7 +44,7 @@ UNCHANGED_NORM = (
 
 
 def invariant_limit(plant: Plant) -> tuple[float, float] | None:
-    """Returns the largest part of the gain that no controller can change, and the frequency [rad/s] at which it occurs.
+    """Returns the largest part of the gain from w to z that no controller can change, and the frequency [rad/s] of this part.
 
     The result is None if the control affects every direction of z.
     """
@@ -80,8 +81,8 @@ def proof_at(plant: Plant, omega: float) -> tuple[float, Array]:
     """Returns the lower bound of `limit_at` and the pair (q, p) that proves this bound.
 
     Returns:
-        The lower bound, and a vector of integers of shape (2 (n + d),): the real parts of q and p, then their imaginary parts
-        (see `_equations`).
+        The lower bound, and a vector of 2 (n + d) integers: the real parts of q and p, followed by the imaginary parts of q and
+        p (see `_equations`).
     """
     n, d = len(plant.A), len(plant.C)
     real, imaginary, from_w, unit = _equations(plant, omega)
@@ -119,8 +120,8 @@ def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
     """Returns, in integers, M = [A - j omega, B; C, D] and the matrix that maps [q; p]* to the effect of w.
 
     The complex vector [q; p] is stored as a real vector: first the real parts of all entries, then the imaginary parts. For a
-    discrete plant, the point z = (1 + j t) / (1 - j t) is used, with a float t = tan(omega dt / 2). This point is exactly on
-    the unit circle. The rows of the states are multiplied by 1 - j t.
+    discrete plant, the point z = (1 + j t) / (1 - j t) is used, with a float t = tan(omega dt / 2). The point z is exactly on
+    the unit circle. The rows of the matrix that belong to the states are multiplied by 1 - j t.
 
     Returns:
         The real part and the imaginary part of M, up to a common factor, each of shape (n + d, n + m). The matrix of the
@@ -156,7 +157,9 @@ def limit_at_infinity(plant: Plant) -> float:
 
 
 def _limit_beside(K: Array, direct: Array) -> float:
-    """Returns a proved lower bound on the norm of `direct`, restricted to v with K' v = 0; 0 if only v = 0 remains."""
+    """Returns a proved lower bound on the norm of the matrix `direct` for vectors v with K' v = 0; 0 if v = 0 is the only such
+    vector.
+    """
     silent = Nullspace(integers(K)[0])
     if not silent.free or not direct.any():
         return 0.0
@@ -176,7 +179,7 @@ def is_pole(plant: Plant, omega: float) -> bool:
 
 
 def _states(plant: Plant, omega: float) -> Array:
-    """Returns A - j omega or, for a discrete plant, the matrix by which `_equations` replaces it."""
+    """Returns A - j omega; for a discrete plant, returns the matrix that `_equations` uses instead of A - j omega."""
     eye = np.eye(len(plant.A))
     if plant.dt is None:
         return plant.A - 1j * omega * eye

@@ -1,21 +1,22 @@
-"""H-infinity norm (18), computed by two methods that find its peak, and the largest singular value at a frequency.
+"""H-infinity norm (18), computed by two methods that search for the peak gain, and the largest singular value at a frequency.
 
 - `level_set_norm`: the imaginary eigenvalues of a Hamiltonian matrix are the frequencies at which a singular value crosses a
-  level (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). This method misses no peak, unless rounding changes the
-  eigenvalues too much.
-- `sweep_norm`: a frequency sweep that is dense around every pole, and refined at every local maximum. Each computed value is a
-  gain of the transfer function, so the result of the sweep never exceeds the norm.
+  level (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). The method of level sets misses no peak, unless rounding
+  changes the eigenvalues too much.
+- `sweep_norm`: a frequency sweep that is dense around every pole, and refined at every local maximum. Each gain in the sweep is
+    a gain of the transfer function at a frequency, so the result of the sweep never exceeds the norm.
 
-`hinf_norm` uses both methods, and also returns the difference between their results. The methods find the peak of the gain on
-the imaginary axis (the L-infinity norm), or on an interval of this axis. This peak also exists for unstable systems; it is
-infinite if a pole lies on the axis.
+`hinf_norm` uses both methods, and also returns the difference between the two results. The methods find the peak of the gain on
+the imaginary axis (the L-infinity norm), or on an interval of this axis. The peak also exists for unstable systems; it is
+infinite if a pole lies on the imaginary axis.
 
-Both methods evaluate the same transfer function. A modal form of the system, which is cheap to evaluate, is used only to select
-frequencies. The returned gains are computed without the modal form, by solving a linear system of equations.
+Both methods compute gains from the same transfer function. A modal form of the system, which is cheap to
+evaluate, is used only to select frequencies. The returned gains are computed without the modal form, by solving a linear system
+of equations.
 
-The rounding error of the gains is bounded to first order. The bound is large if a very large gain G causes both fast and slow
-poles of the loop A + B G. In this case, both methods refine their results with twice the precision. For this purpose, the sum A
-+ B G is used unrounded.
+The rounding error of the gains is bounded to first order. The bound on the rounding error is large if a very large gain G
+causes both fast and slow poles of the loop A + B G. If the bound is large, both methods refine their results with twice the
+precision. For the refinement, the sum A + B G is used unrounded.
 """
 
 from collections.abc import Callable
@@ -57,8 +58,8 @@ def largest_singular_values(T: Array) -> Array:
 def highest(T: Array, above: float) -> tuple[float, int]:
     """Returns the largest singular value among F matrices, T of shape (F, d, r), and the index of its matrix.
 
-    Values up to `above` are ignored. If no value exceeds `above`, returns 0 and the index -1. Most matrices are excluded by
-    their Frobenius norm, which is cheap to compute.
+    Singular values up to `above` are ignored. If no singular value exceeds `above`, returns 0 and the index -1. Most matrices
+    are excluded by their Frobenius norm, which is cheap to compute.
     """
     squares = (np.real(T) ** 2 + np.imag(T) ** 2).reshape(len(T), -1).sum(axis=1)
     among = np.flatnonzero(~(squares <= above * above))
@@ -83,7 +84,8 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
         omega: angular frequencies [rad/s], shape (F,).
 
     Returns:
-        T, complex, shape (F, d, r), and the largest change of the entries of T in the last iteration, shape (F,).
+        The frequency response T, complex, shape (F, d, r), and the largest change of its entries in the last iteration, shape
+        (F,).
     """
     n, Bw = len(system.A), system.Bw
     beyond = np.zeros((n + len(system.C), n)) if system.beyond is None else system.beyond
@@ -94,7 +96,8 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
 
 
 class Gain:
-    """Largest singular value of T(j omega) of a continuous system over an interval of frequencies, in balanced coordinates.
+    """Largest singular value of the transfer matrix T(j omega) of a continuous system, over an interval of frequencies, in
+    balanced coordinates.
 
     Args:
         system: system from w to z, with u = 0.
@@ -128,13 +131,13 @@ class Gain:
         return np.linalg.norm(self.system.frequency_response(omega), 2, axis=(1, 2))
 
     def about(self, omega: Array) -> Array:
-        """Returns the same gains as `at`, but computed from the modal form if its relative error is at most ALIKE."""
+        """Returns the same gains as `at`, but computed from the modal form if this form's relative error is at most ALIKE."""
         return self.at(omega) if self._residues is None else self._by_modes(self._residues, omega)
 
     def at_poles(self) -> float:
         """Returns the largest gain at infinity, at the ends of the interval and near the poles.
 
-        This gain is a lower bound on the norm and close to the norm.
+        The returned gain is a lower bound on the norm and close to the norm.
         """
         upper = self.poles[np.imag(self.poles) >= 0]
         omega = self.within(np.concatenate([self.edges, np.abs(upper), np.imag(upper)]))
@@ -147,7 +150,8 @@ class Gain:
         return float(self.at(at)[0]), float(at[0])
 
     def rounding(self, omega: Array) -> float:
-        """Returns a first-order bound on the rounding error of `at` at the frequencies `omega` [rad/s].
+        """Returns a first-order bound on the rounding errors of the gains that `at` computes at the frequencies `omega`
+        [rad/s].
 
         Source: Higham 2002, Accuracy and Stability of Numerical Algorithms, section 7.2.
         """
@@ -158,12 +162,14 @@ class Gain:
         return float((n + 2) * np.finfo(float).eps * np.linalg.norm(lost, axis=(1, 2)).max(initial=0.0))
 
     def rounded(self, omega: Array) -> float:
-        """Returns the largest rounding error of `at` at frequencies [rad/s], measured with twice the precision."""
+        """Returns the largest rounding error of the gains that `at` computes at some frequencies [rad/s], measured with twice
+        the precision.
+        """
         gains, missing = self.at_double_double(omega)
         return float((np.abs(self.at(omega) - gains) + missing).max())
 
     def at_double_double(self, omega: Array) -> tuple[Array, Array]:
-        """Returns `at` computed with twice the precision, and bounds on its error, both of shape (F,)."""
+        """Returns the gains of `at`, computed with twice the precision, and bounds on their errors, both of shape (F,)."""
         T, missing = transfer_matrix_closely(self.system, omega)
         return largest_singular_values(T), missing
 
@@ -184,7 +190,8 @@ class Gain:
     def missed_closely(self, at: float) -> float:
         """Returns the bound of `grid_error`, computed with twice the precision.
 
-        This method is used if rounding may have moved the poles, so that the search may have missed a peak.
+        `grid_error` is computed with twice the precision if rounding may have moved the poles, so that the search may have
+        missed a peak.
 
         Near a resonance, gain^-2 is a parabola in the frequency. The parabola is fitted through three frequencies.
         """
@@ -201,7 +208,9 @@ class Gain:
         return float(lowest**-0.5 - 1)
 
     def refined_peak(self, at: float) -> tuple[float, float]:
-        """Returns the highest gain near `at` [rad/s] or near any pole, with twice the precision, and its frequency [rad/s]."""
+        """Returns the highest gain near `at` [rad/s] or near any pole, computed with twice the precision, and its frequency
+        [rad/s].
+        """
         omega = np.concatenate([[self.low], np.abs(self.poles), np.abs(np.imag(self.poles)), [at] if np.isfinite(at) else []])
         omega = self.within(omega)
         gains, _ = self.at_double_double(omega)
@@ -311,9 +320,9 @@ def hinf_norm(system: Plant) -> Norm:
 
 
 def by_both_routes(gain: Gain) -> Norm:
-    """Returns the largest gain on an interval by both methods.
+    """Returns the largest gain on a frequency interval, computed by both methods (level sets and frequency sweep).
 
-    The system may be unstable, but it must have no pole on the interval.
+    The system may be unstable, but it must have no pole on the frequency interval.
     """
     (sweep, at_sweep), (level, at_level) = by_sweep(gain), by_level_sets(gain)
     slowest = gain.poles[np.abs(np.real(gain.poles)).argmin()] if len(gain.poles) else 0.0
@@ -330,10 +339,10 @@ def by_both_routes(gain: Gain) -> Norm:
 
 
 def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
-    """Returns the largest gain of a discrete system by both methods.
+    """Returns the largest gain of a discrete system, computed by both methods (level sets and frequency sweep).
 
-    The bilinear transform maps the system to a continuous system, which the methods search for frequencies. The returned gain
-    is computed from the discrete system at these frequencies.
+    The bilinear transform maps the system to a continuous system, in which the methods search for frequencies with a large
+    gain. The returned gain is computed from the discrete system at these frequencies.
     """
     norms, discrete = [], FEATURES.load("discrete plants")
     for route in (by_level_sets, by_sweep):
@@ -358,7 +367,7 @@ def gain_at(system: Plant, omega: float) -> float:
 
 
 def level_set_norm(system: Plant) -> tuple[float, float]:
-    """Returns the largest gain of a continuous system on the imaginary axis by level sets, and its frequency [rad/s].
+    """Returns the largest gain of a continuous system on the imaginary axis, found by level sets, and its frequency [rad/s].
 
     Eigenvalues only select frequencies, and the transfer function gives the gains. The method therefore needs no tolerance to
     decide whether an eigenvalue is imaginary.
@@ -367,7 +376,7 @@ def level_set_norm(system: Plant) -> tuple[float, float]:
 
 
 def by_level_sets(gain: Gain) -> tuple[float, float]:
-    """Returns the largest gain on an interval by level sets, and its frequency [rad/s].
+    """Returns the largest gain on a frequency interval, found by level sets, and its frequency [rad/s].
 
     The gain is infinite if a pole lies on the interval.
     """
@@ -390,11 +399,12 @@ def by_level_sets(gain: Gain) -> tuple[float, float]:
 
 
 def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
-    """Returns frequencies at which the gain may exceed the level, and search widths around them, shapes (k,) [rad/s].
+    """Returns frequencies at which the gain may exceed the level, and the widths of the searches around these frequencies,
+    shapes (k,) [rad/s].
 
     The frequencies are the crossings of the level, the ends of the interval, and the midpoints between neighbouring
     frequencies. Between two neighbouring crossings, the gain is above the level either everywhere or nowhere. Therefore, if the
-    gain exceeds the level anywhere, it does so at one of these frequencies.
+    gain exceeds the level anywhere, it exceeds the level at one of the returned frequencies.
     """
     crossings = level_crossings(gain.system, level)
     crossings = np.concatenate([gain.edges[:1], crossings[(crossings > gain.low) & (crossings < gain.high)], gain.edges[1:]])
@@ -446,12 +456,12 @@ def level_crossings(system: Plant, level: float) -> Array:
 
 
 def sweep_norm(system: Plant) -> tuple[float, float]:
-    """Returns the largest gain on the imaginary axis by a refined frequency sweep, and its frequency [rad/s]."""
+    """Returns the largest gain on the imaginary axis, found by a refined frequency sweep, and its frequency [rad/s]."""
     return by_sweep(Gain(system))
 
 
 def by_sweep(gain: Gain) -> tuple[float, float]:
-    """Returns the largest gain on an interval by a frequency sweep, and its frequency [rad/s].
+    """Returns the largest gain on a frequency interval, found by a frequency sweep, and its frequency [rad/s].
 
     The gain is infinite if a pole lies on the interval.
     """

@@ -1,7 +1,7 @@
 """Certificates as plain data, for logs and for vehicle files with designed gains.
 
 A record contains the numbers that a check cannot recompute: X of (20), and the dual certificates of the lower bound. A record
-also contains the claimed norm and bounds, so that a check can compare them with the recomputed values.
+also contains the claimed norm and bounds, so that a check can compare these claims with the recomputed values.
 """
 
 from collections.abc import Mapping
@@ -70,14 +70,14 @@ def _proof_record(below: LowerBound) -> dict[str, Any]:
 
 
 def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[Array | None, float | None, LowerBound]:
-    """Returns X and eta of (20), and the lower bound that the record proves. The computation uses numpy alone.
+    """Returns X and eta of (20), and the lower bound that the record proves. All results are computed with numpy only.
 
-    X and eta are both None if one of them is absent.
+    If X or eta is absent, X and eta are both None.
 
     Args:
         record: record from `to_record`.
         plant: plant with n states, without the states of the controller.
-        kept: number of controller states; X has rows and columns for these states, too.
+        kept: number of controller states; X has rows and columns for the states of the controller, too.
 
     Raises:
         InputError: a key is unknown, or its value is null or malformed.

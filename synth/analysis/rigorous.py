@@ -63,8 +63,8 @@ def span_all(rows: Array, step: Array) -> bool:
     """Returns True only if the rows of R, R S, R S^2, ... span the whole space, where R is `rows` and S is `step`.
 
     If R and S are the output matrix and the state matrix of a plant, the plant is then observable. The rank is computed modulo
-    a prime, and it never exceeds the true rank. The result True is therefore a proof, but the result False may be due to an
-    unlucky prime.
+    a prime, and it never exceeds the true rank. The result True is therefore a proof, but the result False may only be due to
+    an unlucky prime.
 
     Args:
         rows: matrix of integers, shape (d, n).
@@ -136,7 +136,9 @@ class Nullspace:
 
 
 def _similar_columns(rows: Array) -> tuple[Array, Array]:
-    """Divides rows by their common factors, scales columns to similar size by powers of two, and returns rows and powers."""
+    """Divides the rows by their common factors, and scales the columns to similar size by powers of two. Returns the new rows
+    and the powers.
+    """
     for i, row in enumerate(rows):
         rows[i] = row // (np.gcd.reduce(row) or 1)
     if not rows.size:
@@ -198,7 +200,8 @@ class Definiteness:
 
 
 def radius_of_solution(residual: float, contraction: float, curvature: float) -> float | None:
-    """Returns a radius around a point x within which a quadratic equation f(x) = 0 provably has a solution, or None.
+    """Returns a radius around a point x within which a quadratic equation f(x) = 0 provably has a solution; None if the proof
+    fails.
 
     The proof uses Brouwer's fixed-point theorem: x - R f(x) maps the ball around the point into itself (Krawczyk).
 

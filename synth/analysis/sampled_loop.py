@@ -1,7 +1,7 @@
 """Sampled-data loops: a continuous plant with sampled measurements and held inputs, lifted to a discrete plant.
 
 Over a sample period of T seconds, z and w are functions of time. For a level gamma of the L2 gain, there is a discrete plant
-with the same number of states,
+with the same number of states as the continuous plant,
 
     x[k+1] = Ad x[k] + Bd w_d[k],    z_d[k] = Cd x[k].
 
@@ -13,17 +13,17 @@ units of gamma, the matrices of the discrete plant are
 
     Ad = S22^-T,    Bd Bd' = S12 S22^-1,    Cd' Cd = -S22^-1 S21,
 
-if S22 is invertible for all times in (0, T]. Otherwise, the gain within one period is at least gamma, before any force can
-respond to w.
+if S22 is invertible for all times in (0, T]. If S22 is not invertible at some time, the gain within one period is at least
+gamma, before any force can respond to w.
 
-The entries of S grow without bound as the period T grows. Therefore, Ad, Bd Bd' and Cd' Cd are first computed for a short time,
-which is then doubled repeatedly. For two consecutive intervals 1 and 2, the matrices of the combined interval are
+The entries of S grow without bound as the period T grows. Therefore, Ad, Bd Bd' and Cd' Cd are first computed for a short time;
+this time is then doubled repeatedly. For two consecutive intervals 1 and 2, the matrices of the combined interval are
 
     Ad = Ad2 M Ad1,    Bd Bd' = Bd2 Bd2' + Ad2 M Bd1 Bd1' Ad2',    Cd' Cd = Cd1' Cd1 + Ad1' Cd2' Cd2 M Ad1,
 
-with M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The combined interval has such matrices if and only if both intervals have them and Bd1
-Bd1' Cd2' Cd2 has no eigenvalue of 1 or more. No digits are lost by cancellation. The code computes the difference Ad - I
-instead of Ad, because this difference is small at a fast sample rate.
+with M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The matrices of the combined interval exist if and only if both intervals have such
+matrices and all eigenvalues of Bd1 Bd1' Cd2' Cd2 are below 1. No digits are lost by cancellation. The code computes the
+difference Ad - I instead of Ad, because the difference is small if the sample rate is high.
 """
 
 import math
@@ -47,8 +47,8 @@ TERMS = 14  # number of terms in the series of S; the first omitted term is 0.5^
 
 @dataclass(frozen=True, eq=False)
 class LiftedPlant:
-    """Discrete plant that is equivalent to a continuous plant for one level of the L2 gain. Its states are the n plant states
-    and the k held inputs.
+    """Discrete plant that is equivalent to a continuous plant for one level of the L2 gain. The states of the discrete plant
+    are the n plant states and the k held inputs.
 
     Attributes:
         increment: Ad - I, for the state matrix Ad of the discrete plant, shape (n + k, n + k).
@@ -76,7 +76,7 @@ class LiftedPlant:
         return _root(self.CdCd).T
 
     def followed_by(self, later: "LiftedPlant") -> "LiftedPlant | None":
-        """Returns the discrete plant over this interval and the next interval together.
+        """Returns the discrete plant over an interval that joins this interval and the next one.
 
         The result is None if the gain within the combined interval is at least the level.
         """
@@ -162,7 +162,7 @@ def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> Lifted
 
 
 def in_own_units(A: Array, Bw: Array, C: Array, n: int) -> tuple[Array, Array, Array, Array]:
-    """Returns A, Bw and C in state units that make H small, and these units, shape (N,).
+    """Returns A, Bw and C in state units that make the Hamiltonian matrix H small, and these units, shape (N,).
 
     Only the first n states have dynamics; the other states are constant.
     """
@@ -203,7 +203,8 @@ class SampledLoop(CheckedFields):
         u = K p,    s+ = A_register p + B_register u_a,
 
     where u_a is the force that acts at the end of the period. The measurement noise is a sequence e. The energy of e is the sum
-    of the squares of its values. The noise adds `noise` e to [u; s+], where `noise` is a matrix.
+    of the squares of its values. The product of the matrix `noise` and the vector e is added to the computed forces u and the
+    next controller states s+.
 
     Attributes:
         plant: plant in continuous time with n states and m inputs.
@@ -243,7 +244,7 @@ class SampledLoop(CheckedFields):
             K: gain, shape (m, q).
             Cy: matrix of the measurements y = C_y x, shape (q, n).
             sample_period: sample period [s].
-            delay: delay from a measurement to the force computed from it [samples]; may be fractional.
+            delay: delay [samples] from a measurement to the force that is computed from this measurement; may be fractional.
 
         Returns:
             Sampled-data loop.
@@ -261,10 +262,10 @@ class SampledLoop(CheckedFields):
         """Returns the sampled-data loop of a static gain, or of a discrete control law with k states.
 
         Args:
-            plant: plant with n states, m inputs and q measurements y = C_y x + Dyu u + `noise` e. In this
-                equation, u is the force just before the sample at which y is measured.
+            plant: plant with n states, m inputs and q measurements y = C_y x + Dyu u + `noise` e. In y = C_y x + Dyu u +
+                `noise` e, u is the force just before the sample at which y is measured.
             law: matrix [D, C; B, A] of the law, shape (m + k, q + k); for k = 0, the gain itself.
-            pieces: parts of the sample period, in order of time.
+            pieces: parts of the sample period with constant forces, in order of time.
             noise: matrix from the noise to the measurements, shape (q, j); j may be 0.
         """
         (n, m), q = plant.B.shape, len(plant.Cy)
@@ -293,9 +294,10 @@ class SampledLoop(CheckedFields):
 
     @cached_property
     def input_selections(self) -> list[tuple[float, Array]]:
-        """Duration [s] of each of the p parts of the period, and the matrix that selects its acting inputs, shape (m, m p).
+        """Duration [s] of each of the p parts of the period, and the matrix, shape (m, m p), that selects the inputs that act
+        in this part.
 
-        Each part of the period has its own held inputs.
+        Each part of the period has held inputs that act only in this part.
         """
         m, count = len(self.K), len(self.pieces)
         return [(piece.duration, np.kron(np.eye(count)[i], np.eye(m))) for i, piece in enumerate(self.pieces)]
@@ -316,13 +318,14 @@ class SampledLoop(CheckedFields):
 
     @cached_property
     def with_noise(self) -> tuple[Array, Array]:
-        """`K` and `A_register`, each with an added column per noise signal, shapes (m, n + k + j) and (k, n + k + j)."""
+        """`K` and `A_register`, each with one more column for each noise signal, shapes (m, n + k + j) and (k, n + k + j)."""
         m = len(self.K)
         noise = np.zeros((m + len(self.A_register), 0)) if self.noise is None else self.noise
         return np.hstack([self.K, noise[:m]]), np.hstack([self.A_register, noise[m:]])
 
     def closed(self, increment: Array) -> tuple[Array, Array]:
-        """Returns the transition matrix of the loop minus the identity, and the matrix from its states to [x; held inputs].
+        """Returns the transition matrix of the loop minus the identity, and the matrix from the states of the loop to [x; held
+        inputs].
 
         Args:
             increment: transition matrix of [x; held inputs] over one period minus the identity, shape (n + i, n + i).
@@ -344,7 +347,7 @@ class SampledLoop(CheckedFields):
         return np.vstack([increment[:n] @ start, rest - np.eye(len(rest), columns, n)]), start
 
     def at_angles(self, increment: Array, angles: Array) -> tuple[Array, Array]:
-        """Returns the loop at the points zeta = exp(j angle) of the unit circle.
+        """Returns the matrices of the loop at points zeta = exp(j angle) on the unit circle.
 
         At these points, a delay is a multiplication by a power of zeta, so delayed forces need no states.
 
@@ -371,17 +374,17 @@ class SampledLoop(CheckedFields):
 class SampledDataProblem:
     """Plant whose m forces are held between samples and delayed by a number of samples.
 
-    For a level of the L2 gain, the discrete plant has the plant's states, and also previous forces that are still delayed or
-    measured. The latest force comes first. A static gain feeds back only measurements, not the previous forces. A controller
-    that uses its own previous output is a control law with states.
+    For a level of the L2 gain, the states of the discrete plant are the plant's states and those previous forces that are
+    delayed or measured. The latest force comes first. A static gain feeds back only measurements, not the previous forces. A
+    controller that uses its previous output must be given as a control law with states.
 
-    Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. If the noise is held over T seconds, its
-    energy is T s^2 in units of w. The noise of a measurement is therefore s / sqrt(T) times a sequence whose energy is the sum
-    of its squares.
+    Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. If measurement noise of rms s is held over T
+    seconds, its energy is T s^2 in units of w. The noise of a measurement is therefore modelled as s / sqrt(T) times a sequence
+    whose energy is the sum of its squared values.
 
     Attributes:
-        plant: plant in continuous time with n states and q measurements. The Dyu of this plant is the effect on y of the force
-            that acts just before a sample.
+        plant: plant in continuous time with n states and q measurements. The matrix Dyu of the plant describes the effect on y
+            of the force that acts just before a sample.
         pieces: parts of the sample period with constant forces; there are two parts if the delay includes a fraction of a
             period.
         rms: rms noise of each measurement, in the unit of the measurement, shape (q,); None without noise.
@@ -439,8 +442,8 @@ class SampledDataProblem:
     def at(self, gamma: float) -> Plant | None:
         """Returns the discrete plant of the level gamma; None if the gain within one period is already at least gamma.
 
-        The norm of a loop with this plant is below 1 if and only if the L2 gain is below gamma. The measurements of the
-        returned plant are `rows` times its states, plus the noise.
+        The norm of a loop with the discrete plant is below 1 if and only if the L2 gain is below gamma. The measurements of the
+        returned plant are the matrix `rows` times the states of this plant, plus the noise.
         """
         (n, m), k = self.plant.B.shape, self.stored_forces
         count = len(self.pieces)

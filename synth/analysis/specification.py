@@ -18,7 +18,8 @@ SAME = 1e-9  # relative tolerance for rounding when a value is compared with its
 
 @dataclass(frozen=True)
 class Specification:
-    """Quantity for which a controller was designed, or by which it is evaluated, with its value and its limit.
+    """Quantity for which a controller was designed or by which a controller is evaluated, with the value and the limit of this
+    quantity.
 
     Attributes:
         what: name of the quantity.
@@ -92,10 +93,12 @@ class SampledNorm:
         value: L2 gain; infinite if the loop is not stable.
         lower: level of the gain just below `value`.
         upper: level of the gain just above `value`.
-        angle: phase advance of the worst disturbance per sample [rad], from 0 to pi; NaN if there is no worst angle.
-        reached: gain for an actual disturbance, computed by a second method (`sampled_norm.py`); it does not exceed the norm.
-        inside: True if the largest gain already occurs within one period; then no controller with this sample rate can reduce
-            the gain.
+        angle: phase advance of the worst disturbance per sample [rad], from 0 to pi; NaN if the worst disturbance has no such
+            angle.
+        reached: gain for an actual disturbance, computed by a second method (`sampled_norm.py`); this gain does not exceed the
+            norm.
+        inside: True if a disturbance within one period already reaches the largest gain; then no controller with this sample
+            rate can reduce the gain.
     """
 
     value: float

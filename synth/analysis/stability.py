@@ -1,9 +1,9 @@
 """Stability of a loop (stable, marginal or unstable), and modes that make stabilisation impossible.
 
 Computed eigenvalues are the exact eigenvalues of a matrix A + E, where |E| is about eps |A|. A pole with the imaginary part
-omega is on the imaginary axis *up to rounding* if such an E can move an eigenvalue to j omega. This is the case if the smallest
+omega is on the imaginary axis *up to rounding* if such an E can move an eigenvalue to j omega. Such an E exists if the smallest
 singular value of A - j omega is at most |E| (Trefethen, Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole,
-the largest such distance from the axis is the condition number of the eigenvalue times |E|.
+the largest distance from the axis that rounding can cause is the condition number of the eigenvalue times |E|.
 
 The criterion also holds for multiple poles, whose condition number is infinite. Rounding moves a double pole by about
 sqrt(eps). Nevertheless, a double pole at the origin counts as marginal, and a double pole at -1 counts as stable.
@@ -89,7 +89,7 @@ class Stability:
 
     @property
     def words(self) -> str:
-        """One-line description of the verdict and of the pole that decides it."""
+        """One-line description of the stability verdict and of the pole that decides the verdict."""
         if self.dt is not None:
             where = pole_text(self.worst, self.dt)
             if self.verdict == STABLE:
@@ -164,7 +164,8 @@ def rounding(A: Array) -> float:
 
 
 def pole_text(pole: complex, dt: float | None = None) -> str:
-    """Formats a pole or a conjugate pair with four digits and its unit. A real pole is a rate of growth or decay.
+    """Formats a pole or a conjugate pair of poles as text, with four digits and the unit. A real pole is a rate of growth or
+    decay.
 
     For a discrete loop, the text has enough digits to show that z is not on the unit circle.
     """
@@ -196,7 +197,9 @@ def _on_circle(A: Array, poles: Array, conditions: Array, asked: Array | bool = 
 
 
 def _within_rounding(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
-    """Returns a mask, shape (n,): True for each eigenvalue of a balanced matrix that rounding could move to its point."""
+    """Returns a mask, shape (n,): True for each eigenvalue of a balanced matrix that rounding could move to the corresponding
+    point.
+    """
     allowed = rounding(A)
     # The condition number limits how far a pole can move, to first order. Poles that are much farther from their points are
     # skipped.
@@ -209,10 +212,10 @@ def _within_rounding(A: Array, conditions: Array, points: Array, distances: Arra
 
 
 def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: float) -> dict[tuple[float, float], bool]:
-    """Returns, for each point p, True if a singular matrix exists within the given distance of A - p I.
+    """Returns, for each point p, True if a singular matrix exists within `distance` of A - p I.
 
-    This is the case if the smallest singular value of A - p I is at most the distance. Each point is given by its real part and
-    its imaginary part.
+    Such a matrix exists if the smallest singular value of A - p I is at most the distance. Each point is given by its real part
+    and its imaginary part.
     """
     points = list(points)
     # A delay adds many states. A Schur form is therefore computed once, so that the bound at each point takes far less time.
@@ -320,7 +323,7 @@ def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[s
     """Explains why no controller can stabilise the plant. The returned list is empty if no single mode prevents stabilisation.
 
     Args:
-        plant: plant to check. If it has no measurements, every state counts as measured.
+        plant: plant to check. If the plant has no measurements, every state counts as measured.
         states: names of the states. Default: x1, x2, ...
     """
     names, dt = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], plant.dt
@@ -340,12 +343,12 @@ def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[s
 
 
 def static_feedback_obstructions(plant: Plant) -> list[str]:
-    """Explains why no static output feedback stabilises the plant. The returned list is empty if no such reason is known.
+    """Explains why no static output feedback stabilises the plant. The returned list is empty if no reason is known.
 
-    The plant must be stabilisable and detectable. A gain K changes the sum of the poles by tr(K C_y B), and it multiplies their
-    product by det(I - K C_y (-A)^-1 B). For a discrete plant, this holds for the poles of `Plant.differences`, in which the
-    pole z = 1 becomes 0. The sum does not include decaying poles that no gain can change, such as the poles of a filter in a
-    weight.
+    The plant must be stabilisable and detectable. A gain K changes the sum of the poles by tr(K C_y B), and multiplies the
+    product of the poles by det(I - K C_y (-A)^-1 B). For a discrete plant, both relations hold for the poles of
+    `Plant.differences`, in which the pole z = 1 becomes 0. The sum does not include decaying poles that no gain can change,
+    such as the poles of a filter in a weight.
     """
     where, Cy = stability(plant.A, plant.dt), plant.Cy
     if where.stable:

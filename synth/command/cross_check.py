@@ -1,8 +1,8 @@
 """Cross-check of the designs from problems (22) and (25) with a second solver, Clarabel.
 
 The designs themselves come from the central path (`lmi/central_path.py`). Many gains attain the optimum, so two solvers agree
-in gamma, but not in the gain. The designed gain is therefore checked by a second problem, in which the gain is fixed to this
-gain.
+in gamma, but not in the gain. A second problem therefore checks the designed gain: in this problem, the gain is fixed to the
+designed gain.
 """
 
 from dataclasses import asdict, dataclass
@@ -35,7 +35,8 @@ class CrossCheck:
         optimum_gap: relative gap between the gamma of the designed gain and the optimal gamma `ours`.
         theirs: optimal gamma from Clarabel; None if Clarabel failed.
         attained: gamma that Clarabel finds if the gain is fixed to the designed gain; None if Clarabel failed.
-        said: errors or statuses of the problems that Clarabel did not solve accurately; empty if Clarabel solved both problems.
+        said: error messages or solver statuses of the problems that Clarabel did not solve accurately; empty if Clarabel solved
+            both problems.
     """
 
     problem: str
@@ -89,7 +90,7 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     Args:
         designer: designer of the vehicle.
         controller: designed controller before refinement.
-        zero_l: True if the design used L = 0.
+        zero_l: True if the design used L = 0 for the matrix L of (14).
     """
     bound, steps = controller.certificate.bound, controller.steps
     shared = designer.shared(controller.hardware)

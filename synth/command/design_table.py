@@ -1,4 +1,4 @@
-"""Design table of a vehicle file: designed or checked controllers, their performance, and limits that no controller changes."""
+"""Design table of a vehicle file: designed or checked controllers, their performance, and limits for any controller."""
 
 import math
 from argparse import Namespace
@@ -132,9 +132,9 @@ def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> De
 
 
 def _design_row(designer: Designer, name: str, options: Namespace, stage: Stages, alone: bool) -> Row:
-    """Returns the row of a designed controller with its sampled-data norm.
+    """Returns the table row of a designed controller, including the norm of the sampled-data loop.
 
-    If the design fails and other controllers are requested, the row contains the failure.
+    If the design fails and other controllers are requested, too, the row contains the failure.
     """
     stage(f"controller {name}")
     try:
@@ -181,7 +181,9 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
 
 
 def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
-    """Returns the row of the refined controller with its trade-off, or of the unrefined controller if refinement fails."""
+    """Returns the table row of the refined controller with its trade-off, or the row of the unrefined controller if refinement
+    fails.
+    """
     try:
         refined = designer.refine(name, zero_l)
     except DesignError as error:
@@ -211,9 +213,9 @@ def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
     """Returns how far each state-feedback gain may change if gamma increases by at most FLAT.
 
-    If the table contains a state feedback, its gain is used; otherwise a state feedback is designed. The gain is used even if
-    the central path of its design ended early. The result is empty for a vehicle with integrals of measurements, because the
-    state feedback then has states of its own.
+    If the table contains a state-feedback controller, the gain of this controller is used; otherwise a state feedback is
+    designed. The gain is used even if the central path of this design ended early. The result is empty for a vehicle with
+    integrals of measurements, because the state-feedback law then has states.
 
     Returns:
         For each state, the largest gain that acts on this state, and the allowed decrease and increase of this gain; None if
@@ -236,7 +238,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
 
 
 def _check_save(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> None:
-    """Checks that the designed gains can be saved. Other gains are not saved."""
+    """Checks that the designed gains can be saved. Only designed gains are saved."""
     from synth.command.save import check_save
 
     entries = vehicle.controllers
@@ -245,7 +247,7 @@ def _check_save(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> N
 
 
 def _draw_responses(designs: Designs, path: Path) -> Path | None:
-    """Draws the frequency responses of all stable loops. Returns the path, or None if no loop is stable."""
+    """Draws the frequency responses of all stable loops. Returns the path of the figure, or None if no loop is stable."""
     from models.document.picture import write_picture
     from synth.command.responses import responses_figure
 
@@ -339,7 +341,7 @@ def _worse(designs: Designs) -> tuple[Statement, ...]:
 
 
 def _rides(designs: Designs) -> list[Statement]:
-    """Describes the expected ride of every controller; for a vehicle with persons, at each point. See `_rides_at`."""
+    """Describes the expected ride of every controller; for a vehicle with persons, the ride at each point. See `_rides_at`."""
     rides = {"passive": designs.passive, **{row.name: row.ride for row in designs.rows}}
     without = [f"There is no expected ride for {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
     return [one for at, known in (designs.expected_rides or {"": rides}).items() for one in _rides_at(designs, at, known)] + [
@@ -348,7 +350,9 @@ def _rides(designs: Designs) -> list[Statement]:
 
 
 def _rides_at(designs: Designs, at: str, known: Mapping[str, float | None]) -> tuple[Statement, ...]:
-    """Describes the expected ride of every controller at a point, and lists the controllers whose ride is worse than passive."""
+    """Describes the expected ride of every controller at a point, and lists the controllers whose ride is worse than that of
+    the passive vehicle.
+    """
     rides, passive = {name: ride for name, ride in known.items() if ride is not None}, known["passive"]
     if not rides.keys() & {row.name for row in designs.rows}:
         return ()

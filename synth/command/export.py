@@ -242,7 +242,7 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
     """Returns the ranges that are given as `--range SIGNAL=NUMBER`, by signal.
 
     Raises:
-        InputError: a range does not have this form, its number is too small or too large, or a signal has two ranges.
+        InputError: a range is not written as SIGNAL=NUMBER, its number is too small or too large, or a signal has two ranges.
     """
     ranges = {}
     for text in given:
@@ -260,7 +260,7 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
 
 
 def check_folder(folder: Path, options: Namespace) -> int:
-    """Checks an exported folder. Prints which files were changed, and whether the claims of its certificate hold.
+    """Checks an exported folder. Prints which files were changed, and whether the claims of the folder's certificate hold.
 
     Returns:
         Exit code: 0 if no file was changed, every claim holds, and the code computes the outputs of the test vectors; else 1.
@@ -297,7 +297,7 @@ def _claims(vehicle: Vehicle, name: str) -> str | list[str]:
 def _back_to_back(folder: Path, prefix: str) -> tuple[str, bool]:
     """Runs the compiled code on the test vectors. Returns the result as text, and False if an output is wrong.
 
-    Without a compiler, the code is not run; this does not count as a wrong output.
+    Without a compiler, the code cannot be run, but the check does not count this as a wrong output.
     """
     try:
         command = compiler()

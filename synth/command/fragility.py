@@ -72,5 +72,7 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
 
 
 def _between(margin: errors.ErrorMargin) -> str:
-    """Formats the proved tolerance and the smallest error found harmful, both in percent; a dash is a missing value."""
+    """Formats the proved tolerance and the smallest error that was found to be harmful, both in percent; a dash stands for a
+    missing value.
+    """
     return ", ".join(cell(100 * value if value else None, ".3g") for value in (margin.proved_margin, margin.smallest_violation))

@@ -74,9 +74,9 @@ class Row:
         sampled_below: lower bound on `sampled` for all controllers with the measurements of this controller; None if the
             controller is not designed for the sampled-data loop.
         fragile: gain errors that the controller tolerates; None if not requested.
-        answers: sentences with the results that the user requested by options; `notes` contains these sentences, too.
+        answers: sentences with the results that the user requested by options; `notes` also contains these sentences.
         ride: expected weighted acceleration on an average road [m/s2]; None if no expected ride is defined.
-        refined: True if the controller was refined; the short output then contains its gain, too.
+        refined: True if the controller was refined; the short output then contains the gain of the controller, too.
         margins: stability of the law itself, and the stability margins of the closed loop if they are small; None if there is
             no law.
     """
@@ -107,14 +107,18 @@ class Row:
 
     @property
     def sampled_gap(self) -> float | None:
-        """Relative gap between the sampled-data norm and its lower bound; None if one is missing or the loop is unstable."""
+        """Relative gap between the sampled-data norm and its lower bound; None if the norm or the bound is missing, or if the
+        loop is unstable.
+        """
         if self.sampled is None or self.sampled_below is None or not self.sampled.stable:
             return None
         return self.sampled.value / self.sampled_below.level - 1
 
 
 def _of_stable_loop(row: Row, field: Field[Certificate]) -> Any:
-    """Returns the value of a field that exists only for stable loops; for any other loop, the stability verdict as text."""
+    """Returns the value of a field that exists only for stable loops; if the loop is not stable, returns the stability verdict
+    as text.
+    """
     if row.certificate is None:
         return "NOT DESIGNED"
     value = field.value(row.certificate) if row.certificate.stable else row.certificate.stability.verdict.upper()
@@ -286,7 +290,7 @@ def _requested_notes(row: Row, checked: bool) -> Iterator[str]:
 
 def failures_of(row: Row) -> list[str]:
     """Describes the failures of a row. If wrong signs of the gains may have caused the failures, the first description mentions
-    this.
+    the signs.
     """
     first, *others = [*row.failures] or [""]
     return [f"{first}{sign_note(row.controller) if row.controller is not None else ''}", *others] if first else []

@@ -28,7 +28,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     """Runs the command. Returns the exit code.
 
     Raises:
-        InputError: an axis is invalid, the controller does not permit a front, a point does not exist, or a file cannot be
+        InputError: an axis is invalid, no front can be computed for the controller, a point does not exist, or a file cannot be
             written.
     """
     axes = axes_of(vehicle, options.front)
@@ -99,7 +99,9 @@ def _name(vehicle: Vehicle, given: Sequence[str] | None) -> str:
 
 
 def usual(vehicle: Vehicle) -> str:
-    """Returns the name of the default controller for a front: I if the file contains I, otherwise the first controller."""
+    """Returns the name of the default controller for a front: controller I if the file contains it, otherwise the first
+    controller.
+    """
     return USUAL if USUAL in vehicle.controllers else next(iter(vehicle.controllers), "state")
 
 

@@ -35,10 +35,10 @@ PANEL = 64  # number of columns that the QR decomposition processes together
 
 
 class Barrier:
-    """Logarithmic barrier of one or more blocks with the same unknowns."""
+    """Logarithmic barrier of one or more matrix blocks that depend on the same unknowns."""
 
     def __init__(self, blocks: Sequence[Block]) -> None:
-        """Prepares the blocks for repeated evaluation.
+        """Prepares the blocks of the barrier for repeated evaluation.
 
         Raises:
             LinAlgError: the blocks have fewer entries than there are unknowns, so the minimum is not unique.
@@ -95,7 +95,7 @@ class Barrier:
 
 
 def _block_diagonal(blocks: Sequence[Block]) -> Block:
-    """Returns the blocks as one block-diagonal block."""
+    """Returns all blocks of the barrier as one block-diagonal block."""
     size = sum(len(F0) for F0, _ in blocks)
     F0, F, at = np.zeros((size, size)), np.zeros((len(blocks[0][1]), size, size)), 0
     for first, each in blocks:
@@ -107,7 +107,7 @@ def _block_diagonal(blocks: Sequence[Block]) -> Block:
 
 @functools.cache
 def _upper(sizes: tuple[int, ...]) -> tuple[Array, Array, Array]:
-    """Returns indices into a flat symmetric matrix with blocks of the given sizes, and weights.
+    """Returns indices into a flat symmetric matrix with blocks of the given sizes, and weights of the entries.
 
     Returns:
         Indices of the entries in the upper triangles of the blocks, indices of the diagonal entries, and weights of the upper
@@ -128,14 +128,15 @@ class Logarithm(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FactoredDerivatives(ABC):
-    """First and second derivatives of sum log det at a point. The Hessian is given in the form S^-1 R' R S^-1.
+    """First and second derivatives of the sum of the log det terms of a barrier at a point. The Hessian is given in the form
+    S^-1 R' R S^-1.
 
     Attributes:
         trace: gradient, shape (N,).
         scale: diagonal of S, shape (N,).
-        triangle: upper triangular matrix R without `logarithm`, shape (N, N), in C or Fortran order. The entries of `triangle`
-            below the diagonal are arbitrary.
-        logarithm: term with the logarithm of the last unknown; None if the barrier does not contain this term.
+        triangle: upper triangular matrix R without the term `logarithm`, shape (N, N), in C or Fortran order. The entries of
+            `triangle` below the diagonal are arbitrary.
+        logarithm: term with the logarithm of the last unknown; None if the barrier does not contain a logarithm.
     """
 
     trace: Array
@@ -144,7 +145,7 @@ class FactoredDerivatives(ABC):
     logarithm: Logarithm | None = field(default=None, kw_only=True)
 
     def half(self, c: Array) -> Array:
-        """Returns R^-T S c. The norm of this vector is the norm of c in the metric of the inverse Hessian."""
+        """Returns R^-T S c. The norm of the returned vector is the norm of c in the metric of the inverse Hessian."""
         return self._scaled(_triangular(self.triangle, c * self.scale, transposed=True))
 
     def solve(self, half: Array) -> Array:
@@ -187,8 +188,8 @@ class Local(FactoredDerivatives):
 
     Attributes:
         W: matrices L^-1 F_i L^-T of every block with k rows, where the block at the point is L L', shapes (N, k k).
-        numbers: values L^-1 F_i L^-T of the k one-row blocks that are not joined with other blocks, shape (N, k); None without
-            such blocks.
+        numbers: values L^-1 F_i L^-T of the k one-row blocks that are not joined with other blocks, shape (N, k); None if there
+            are no one-row blocks.
     """
 
     W: list[Array]
@@ -310,7 +311,7 @@ def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
 
 
 def boundary(here: FactoredDerivatives, step: Array) -> float:
-    """Returns the largest t for which p + t step is feasible. For this t, a block of the barrier becomes singular."""
+    """Returns the largest t for which p + t step is feasible. At the largest t, a block of the barrier becomes singular."""
     smallest = float(here.rates(step).min())
     return -1 / smallest if smallest < 0 else np.inf
 

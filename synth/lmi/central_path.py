@@ -1,12 +1,12 @@
 """Central path of the design problem, followed to its limit, which is a unique optimal solution.
 
 The optimum of (22) or (25) is attained by all pairs (X, Y) on a face of the feasible set. The value gamma is therefore unique,
-but the gain is not. An interior-point solver returns a point of this face that depends on its scaling and tolerance. The design
-is therefore defined as the limit, for mu -> 0, of the unique solution of the problem
+but the gain is not. An interior-point solver returns a point of this face that depends on the scaling and the tolerance of the
+solver. The design is therefore defined as the limit, for mu -> 0, of the unique solution of the problem
 
     maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta))
 
-The limit depends neither on a solver nor on state coordinates, input units or the time unit, because changing them only adds
+The limit depends neither on a solver nor on state coordinates, input units or the time unit, because such changes only add
 constants to the logarithms. The gains published in the paper are equal to this limit.
 
 The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11), with a predictor step along its
@@ -15,7 +15,8 @@ diag(X_Q, X_R) and Y = [0 Y_R]. State feedback is the case of an empty Q and R =
 are changed again so that X = I and Y = 0. The current gain then becomes part of the plant.
 
 For a discrete plant, log det of the larger matrix in `certificate.py` replaces the three logarithms, because this matrix
-contains all constraints. As the sample period decreases, this path approaches the path of the continuous plant.
+contains all constraints. As the sample period decreases, the path of the discrete plant approaches the path of the continuous
+plant.
 """
 
 import contextlib
@@ -74,9 +75,9 @@ class CentralPoint:
     Attributes:
         X: matrix X of the form (12), shape (n, n).
         K: gain Y_R X_R^-1 of (13), shape (m, q). The gain K acts on the q coordinates that R spans.
-        eta: value gamma^-2 of the point. The optimal eta is larger by at most (2 n + d) mu.
+        eta: value gamma^-2 of the point. The optimal eta is larger than the eta of this point by at most (2 n + d) mu.
         mu: path parameter mu of this point, divided by eta.
-        proof: an X that proves the bound, if `X` itself does not prove it because of states that are unobservable in z;
+        proof: matrix that proves the bound if `X` itself does not prove it because of states that are unobservable in z;
             otherwise None.
     """
 
@@ -90,11 +91,11 @@ class CentralPoint:
 
     @property
     def gamma(self) -> float:
-        """Bound gamma = eta^-1/2 that this point proves, as in (23) and (26)."""
+        """Bound gamma = eta^-1/2 that the point proves, as in (23) and (26)."""
         return self.eta**-0.5
 
     def in_units(self, states: Array, inputs: Array, measured: Array) -> "CentralPoint":
-        """Returns the point in other units.
+        """Returns the point of the path, converted to other units.
 
         Args:
             states: present unit of each state, expressed in the new unit, shape (n,).
@@ -116,7 +117,7 @@ def central_path(plant: Plant, Q: Array, R: Array, mu: float = LIMIT) -> list[Ce
         plant: plant with n states and m inputs.
         Q: matrix of shape (n, n - q).
         R: matrix of shape (n, q), such that [Q R] is regular.
-        mu: value of mu / eta at which the path ends. The default is close to the limit; a larger value ends farther
+        mu: value of mu / eta at which the path ends. The default is close to the limit; a larger value ends the path farther
             from the optimum.
 
     Returns:
@@ -243,7 +244,7 @@ class PathPoint:
         """Finds a strictly feasible point.
 
         Feasible points exist if and only if He(A X + B Y) < 0, where He(M) = M + M', has a solution with the structure (12). If
-        this pair (X, Y) is multiplied by a small enough factor, it satisfies (24) with some eta > 0. The method therefore
+        a solution (X, Y) is multiplied by a small enough factor, it satisfies (24) with some eta > 0. The method therefore
         minimises s subject to He(A X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until s < 0.
 
         Raises:
@@ -309,9 +310,9 @@ class PathPoint:
     def follow(self, mu_end: float) -> Iterator[CentralPoint]:
         """Follows the path until mu = mu_end eta, and yields the points at `RESTS`.
 
-        At these points, mu / eta is fixed instead of mu. For this purpose, log(eta) eta / mu replaces eta / mu in the
-        objective. The points are therefore independent of units and of the first point. Some of these points are designs, or
-        define L (14).
+        At the points in `RESTS`, mu / eta is fixed instead of mu. To fix mu / eta, log(eta) eta / mu replaces eta / mu in the
+        objective. The points are therefore independent of units and of the first point of the path. Some of these points are
+        designs, or define the matrix L of (14).
         """
         rest, moves = max(FIRST, mu_end), 0
         barrier, start, here = self._entered(rest)
@@ -342,7 +343,9 @@ class PathPoint:
             rest, (barrier, start, here) = following, moved
 
     def _entered(self, rest: float) -> tuple[WithLogTerm, Array, FactoredDerivatives | None]:
-        """Returns the barrier for a value of mu / eta, the current point, and the derivatives there (None if infeasible)."""
+        """Returns the barrier for a value of mu / eta, the current point, and the derivatives at this point (None if
+        infeasible).
+        """
         barrier, n, m = WithLogTerm(self._barrier(), 1 / rest), self.basis.n, self.basis.m
         start = self.basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
         return barrier, start, barrier.at(start)
@@ -369,7 +372,7 @@ class PathPoint:
         return bool(sizes[-1] > FAR * sizes[0])
 
     def _barrier(self) -> Derivatives:
-        """Returns the barrier of (24) and of X > 0."""
+        """Returns the barrier of the constraints (24) and X > 0."""
         basis, n = self.basis, self.basis.n
         if self.step:
             return Barrier([(-basis.F0, -basis.F)])
@@ -378,7 +381,9 @@ class PathPoint:
         return Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
 
     def _start_barrier(self) -> Derivatives:
-        """Returns the barrier for the search for a feasible point. The last unknown is s."""
+        """Returns the barrier for the search for a feasible point. The last unknown of this barrier is s in He(A X + B Y) < s
+        I.
+        """
         basis, n, m = self.basis, self.basis.n, self.basis.m
         if basis.size > DENSE and not self.step:
             return FEATURES.load("large plants").start_barrier(self.plant, self.free, LARGEST_Y)

@@ -3,7 +3,7 @@
     minimise t   over the plant's `SynthesisInequality` for (X, eta), that of the transposed plant for (S, t), and
                  [S J2 J1'; J1 J2' X] > 0,  [eta 1; 1 t] > 0
 
-The modules `synthesis_inequality.py` and `lower_bound.py` derive these LMIs and prove the bound. The path is followed as in
+The modules `synthesis_inequality.py` and `lower_bound.py` derive the LMIs and prove the bound. The path is followed as in
 `central_path.py`, in coordinates in which X = S = I. For state feedback, only the inequality of the plant is used.
 """
 
@@ -54,16 +54,17 @@ def find_lower_bound(
     Args:
         plant: plant with n states and m inputs.
         Cy: matrix of the measurements y = C_y x + Dyw w, shape (q, n). The bound holds for output feedback of any order from y.
-            Default: the measurements of the plant. If the plant has no measurements either, the bound is for state feedback.
-            The bound for state feedback also holds for output feedback, but the bound for output feedback may be higher.
+            Default: the measurements of the plant. If C_y is not given and the plant has no measurements, the bound is for
+            state feedback. The bound for state feedback also holds for output feedback, but the bound for output feedback may
+            be higher.
         path: points of the central path of `state_feedback` for this plant; empty if not computed yet.
         beyond_control: bound that `bound_beyond_control` returns; None if not computed yet.
         Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
 
     Returns:
         The lower bound with its proof; `gamma` is 0 if nothing is proved. If w acts on y, and there is a non-decaying mode on
-        which w does not act, the LMIs do not have a strictly feasible point. In this case, only zeros and the invariant point
-        can prove a bound, and `reason` describes the mode.
+        which w does not act, the LMIs do not have a strictly feasible point. Without a strictly feasible point, only zeros and
+        the invariant point can prove a bound, and `reason` describes the mode.
 
     Raises:
         InputError: C_y or Dyw does not fit the plant; see `Plant.measured`.
@@ -89,7 +90,7 @@ def find_lower_bound(
 
 
 def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], beyond_control: LowerBound | None) -> LowerBound:
-    """Returns the bound of `find_lower_bound` for output feedback, or for state feedback if the plant is not measured."""
+    """Returns the bound of `find_lower_bound` for output feedback, or for state feedback if the plant has no measurements."""
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     dual = plant.transposed if measured else None
     observer = SynthesisInequality.of(dual) if dual is not None else None
@@ -162,8 +163,8 @@ def _unmeasured_disturbance_bound(plant: Plant, dual: Plant) -> LowerBound:
     Disturbances are considered at zero and infinite frequency, and outputs at infinite frequency. For a discrete plant, the
     bound is 0.
 
-    Other zeros on the imaginary axis are not used, because floating-point numbers cannot represent them exactly. Zeros that are
-    only close to the axis do not give a bound.
+    Zeros at other frequencies on the imaginary axis are not used, because floating-point numbers cannot represent these zeros
+    exactly. Zeros that are only close to the axis do not give a bound.
     """
     if plant.dt is not None:
         return LowerBound(0.0)
@@ -256,8 +257,8 @@ def _joint_path(
 def _feasible(plant: Plant) -> Array:
     """Returns an X that satisfies the plant's `SynthesisInequality` for some eta, shape (n, n).
 
-    X is the inverse of the solution of a Riccati equation in the units of `own_units`. The output z of this equation also
-    contains the states and inputs. An X that is feasible with this larger z is also feasible with the z of the plant.
+    X is the inverse of the solution of a Riccati equation in the units of `own_units`. The output z in the Riccati equation
+    also contains the states and the inputs. An X that is feasible with the larger z is also feasible with the z of the plant.
     """
     units = own_units(plant)
     own = units.into(plant)
@@ -288,7 +289,9 @@ def _feasible_part(Q: Array, c: Array) -> Array:
 
 
 class _ProjectedLmi:
-    """One of the two inequalities, with its current solution X = T T'. In the coordinates of T, X is the identity."""
+    """One of the two synthesis inequalities (of the plant or of the transposed plant), with its current solution X = T T'. In
+    the coordinates of T, X is the identity.
+    """
 
     def __init__(self, side: SynthesisInequality, plant: Plant) -> None:
         self.n, self.coordinates, self.part = len(plant.A), side.coordinates, side.antistable

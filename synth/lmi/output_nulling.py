@@ -24,7 +24,9 @@ def output_nulling_gains(plant: Plant) -> Iterator[Array]:
 
 
 def in_balanced_coordinates(plant: Plant, T: Array) -> tuple[Plant, Array]:
-    """Returns the plant in coordinates for determining ranks: the columns of T, divided by their lengths; and these lengths."""
+    """Returns the plant in coordinates in which ranks are determined (the columns of T, divided by their lengths), and these
+    lengths.
+    """
     lengths = np.linalg.norm(T / balance(plant.A)[1][:, None], axis=0)
     return plant.in_coordinates(T / lengths), lengths
 

@@ -40,15 +40,14 @@ class LmiSolution:
 def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> LmiSolution:
     """Solves (25): maximises eta subject to (24) with X = Q X_Q Q' + R X_R R', Y = Y_R R' (12), X_Q > 0, X_R > 0.
 
-    If Q is empty and R = I, this is problem (22). For a closed loop with B = 0, this is problem (27). For a discrete plant, the
-    larger matrix of `certificate.py` replaces (24).
+    If Q is empty and R = I, the problem is (22). For a closed loop with B = 0, the problem is (27). For a discrete plant, the
+    larger matrix of `certificate.py` replaces the matrix of (24).
 
     Args:
         plant: plant with n states and m inputs.
         Q: matrix of shape (n, n - q).
         R: matrix of shape (n, q).
-        gain: fixed gain K, shape (m, q). If this gain is given, Y_R = K X_R, and the optimum is the best bound of (25) for this
-            gain.
+        gain: fixed gain K, shape (m, q). If K is given, Y_R = K X_R, and the optimum is the best bound of (25) for the gain K.
 
     Raises:
         NoSolutionError: the solver reports that there is no solution, or eta is zero within the tolerance.

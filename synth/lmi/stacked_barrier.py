@@ -4,8 +4,8 @@
 
 The unknowns are the symmetric matrix X and t. Let L = -[A; C], R = [I; 0] and P = S^-1. The second derivative of -log det S for
 changes of X along the unit matrices e_p e_q' and e_s e_t' is 2 (g[t, p] g[q, s] + r[t, p] a[q, s]), where g = R' P L, r = L' P
-L and a = R' P R. The symbols are defined in `structured_barrier.py`. The sum of these derivatives over the loops is one matrix
-product with n^4 operations per loop.
+L and a = R' P R. The symbols are defined in `structured_barrier.py`. The sum of the second derivatives over the loops is one
+matrix product with n^4 operations per loop.
 """
 
 # pyright: reportAttributeAccessIssue=false

@@ -21,7 +21,7 @@ class Basis:
 
     Attributes:
         places: row and column indices in [X; Y] of all unknowns except the last one, shapes (N - 1,). For the unknowns of X,
-            these are the indices on and above the diagonal.
+            the indices are those on and above the diagonal.
         size: number N of unknowns.
     """
 
@@ -95,8 +95,7 @@ class Basis:
 def places(n: int, m: int, free: int) -> tuple[Array, Array]:
     """Returns row and column indices in [X; Y] of all unknowns except eta.
 
-    The unknowns of X_Q and X_R on and above the diagonal come first, row by row. The unknowns of Y_R are after them, also row
-    by row.
+    The unknowns of X_Q and X_R on and above the diagonal come first, row by row. The unknowns of Y_R follow, also row by row.
     """
     rows, columns = np.triu_indices(n)
     inside = (rows >= free) | (columns < free)  # False for entries that would couple the two blocks of the matrix

@@ -2,9 +2,9 @@
 
 A gain F may make states unobservable in z: if the loop with u = F x starts in such a state, (C + D F) x stays 0. If these
 states decay, the matrix X of (22) and (25) may grow without limit along these states, without an effect on the objective. The
-problem then has no central path, and the gains on these states are arbitrary. Therefore, the states are removed. The problem
-for the remaining states has the same optimum, and its solution gives the gain on the remaining states. The gain on the removed
-states is F, which is zero if z weights the force separately.
+problem then has no central path, and the gains on these states are arbitrary. The unobservable states are therefore removed.
+The problem for the remaining states has the same optimum, and its solution gives the gain on the remaining states. The gain on
+the removed states is F, which is zero if z weights the force separately.
 
 In (25), X and Y must satisfy (12). In the coordinates of [Q R], the removed space is therefore the sum of a part in Q, on which
 F is zero, and a part in R.
@@ -94,7 +94,8 @@ class UnobservableReduction:
 
 
 def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> UnobservableReduction | None:
-    """Removes states that can be made unobservable in z without violating (12). Returns None if there are no such states.
+    """Removes states that can be made unobservable in z without violating (12). Returns None if no states can be made
+    unobservable.
 
     Args:
         plant: plant with n states, without measurements.
@@ -133,7 +134,7 @@ def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> Unobse
 def _invariant_bases(plant: Plant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
     """Returns bases of V_q and V_r, whose sum is the largest (A + B F)-invariant subspace of V with the following structure.
 
-    V_q lies in the first `a` coordinates and satisfies F V_q = 0. V_r lies in the other coordinates.
+    V_q lies in the first `a` coordinates and satisfies F V_q = 0. V_r lies in the remaining coordinates.
     """
     loop, size = plant.closed_loop(F) if F.any() else plant, float(np.linalg.norm(plant.A)) or 1.0
     in_q, in_r = V @ _null(V[a:]), V @ _null(V[:a])
@@ -153,9 +154,9 @@ def _null(M: Array) -> Array:
 
 
 def _dual_basis(out: Array, T: Array) -> Array:
-    """Returns the dual basis of `out`, shape (n, k).
+    """Returns the dual basis of the columns of `out`, shape (n, k).
 
-    In the coordinates T x, this dual basis is orthogonal to the complement of `out`.
+    In the coordinates T x, the dual basis is orthogonal to the complement of `out`.
 
     Args:
         out: matrix with orthonormal columns, shape (n, k).

@@ -5,15 +5,15 @@ The states x_c of the law become integrators with their own inputs v (El Ghaoui,
     [u; v] = [D_c, C_c; B_c, A_c] [C_y x; x_c].
 
 For a discrete plant, the law is also discrete: x_c[k+1] = v[k]. A measured disturbance passes directly through the law. The
-effect of this disturbance through the law is therefore part of Bw and Dw of the larger plant.
+effect of the measured disturbance through the law is therefore part of Bw and Dw of the larger plant.
 
 A design handles only constant weights. A weight that depends on frequency is therefore a filter, whose states are added to the
-plant. A filter in series with an output weights this output. A filter in series with a disturbance shapes its spectrum. A
-filter in series with an input models the actuator. A filter is a `Plant` without inputs, from w to z.
+plant. A filter in series with an output weights the output. A filter in series with a disturbance shapes the spectrum of the
+disturbance. A filter in series with an input models the actuator. A filter is a `Plant` without inputs, from w to z.
 
 - `transfer_function`: system from a ratio of polynomials in s
 - `series`, `append`: systems in series, or in parallel with separate signals
-- `with_weights`: plant with one filter before w and another after z
+- `with_weights`: plant with one filter in series before w and a second filter in series after z
 
 Source: Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 3.6.
 """
@@ -110,7 +110,7 @@ def append(*systems: StateSpace) -> StateSpace:
 
 
 def with_weights(plant: Plant, outputs: StateSpace, disturbances: StateSpace, beside: Array | None = None) -> Plant:
-    """Returns the plant with one system after z and another system before w.
+    """Returns the plant in series with two systems: one system after z, and a second system before w.
 
     The states of the plant come first, followed by the states of the system after z, and by the states of the system before w.
     The result keeps the measurements of the plant, which contain the filtered w.

@@ -30,7 +30,8 @@ class Feedback:
     """Static gain u = K y with y = C_y x, stored as two factors K and C_y.
 
     The factors are stored separately so that proofs do not depend on the rounding of their product. For example, a gain may
-    multiply the difference of two nearly dependent signals by a million. Rounding K C_y would then change the controller.
+    multiply the difference of two nearly dependent signals by a million. Rounding the product K C_y would then change the
+    controller.
 
     Attributes:
         K: gain, shape (m, q).
@@ -67,8 +68,8 @@ class Plant:
         Dw: feedthrough from the disturbances to the outputs, shape (d, r); zero in the paper.
         beyond: rounding errors of [A; C] of a closed loop (true value minus float), shape (n + d, n); None if A and C are
             exact.
-        weights: number of states that belong to weighting filters; they are the last states. Controllers cannot move the poles
-            of these filters, and the speed of the plant does not include them.
+        weights: number of states that belong to weighting filters; these states are the last states of the plant. Controllers
+            cannot move the poles of these filters, so the speed of the plant does not take these poles into account.
         dt: sample period of a discrete plant [s]; None for a continuous plant.
         Cy: matrix from the states to the q measurements, shape (q, n). Default: no measurements.
         Dyu: feedthrough from the inputs to the measurements, shape (q, m). Default: zero.
@@ -154,7 +155,7 @@ class Plant:
         """Returns the plant with the measurements y = Cy x + Dyu u + Dyw w after a check.
 
         Args:
-            Cy: matrix with a row for each measured signal, shape (q, n). By default, these are the measurements of the plant.
+            Cy: matrix with a row for each measured signal, shape (q, n). By default, the measurements of the plant are kept.
             Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
             Dyu: feedthrough from the inputs to the measurements, shape (q, m). Default: zero.
 
@@ -205,7 +206,7 @@ class Plant:
     def without_weighting(self) -> "Plant":
         """Plant without its weighting filters, whose states are the last states of the plant.
 
-        A gain affects only the stability of this part.
+        A gain affects only the stability of this part, not the stability of the filters.
         """
         if not self.weights:
             return self
@@ -243,7 +244,7 @@ class Plant:
         """Returns the plant with k further disturbances that act on the measurements only.
 
         Args:
-            Dyw: feedthrough from these disturbances to the measurements, shape (q, k).
+            Dyw: feedthrough from the further disturbances to the measurements, shape (q, k).
         """
         Bw, Dw = (np.hstack([matrix, np.zeros((len(matrix), Dyw.shape[1]))]) for matrix in (self.Bw, self.Dw))
         return replace(self, Bw=Bw, Dw=Dw, Dyw=np.hstack([self.Dyw, Dyw]))
@@ -293,7 +294,7 @@ class Plant:
     def transposed(self) -> "Plant":
         """Transposed plant, with w and z exchanged.
 
-        State feedback for the transposed plant is output injection of y = C_y x + Dyw w for this plant.
+        State feedback for the transposed plant is output injection of y = C_y x + Dyw w for the original plant.
         """
         return Plant(self.A.T, self.Cy.T, self.C.T, self.Bw.T, self.Dyw.T, self.Dw.T, dt=self.dt)
 
@@ -306,10 +307,10 @@ class Plant:
     def differences(self) -> "Plant":
         """Plant in differences, in which (x[k+1] - x[k]) / dt replaces x'.
 
-        As dt decreases, the entries of this plant approach those of the continuous plant.
+        As dt decreases, the entries of the plant in differences approach those of the continuous plant.
 
-        The result has the form of a continuous plant, but its poles and norms differ from those of the discrete plant. A
-        continuous plant is returned unchanged.
+        The plant in differences has the form of a continuous plant, but its poles and norms differ from those of the discrete
+        plant. A continuous plant is returned unchanged.
         """
         if self.dt is None:
             return self
@@ -320,7 +321,7 @@ class Plant:
         """Returns the plant with the feedback u = G x + (new u), equations (16) and (17).
 
         A + B G and C + D G are rounded once, and `beyond` contains the rounding errors. For a very large gain, or a gain that
-        cancels most of A, these errors may determine the norm.
+        cancels most of A, the rounding errors may determine the norm.
 
         Args:
             G: state gain, shape (m, n), or a gain from measurements.
@@ -352,7 +353,7 @@ class Plant:
         return replace(self, B=self.B @ W, D=self.D @ W, Dyu=self.Dyu @ W, beyond=None, weights=0)
 
     def independent_inputs(self) -> Array:
-        """Returns an orthonormal basis W, shape (m, k), of the input combinations that have an effect; I if k = m."""
+        """Returns an orthonormal basis W, shape (m, k), of the input combinations that affect the plant; I if k = m."""
         m = self.B.shape[1]
         sizes = [float(np.linalg.norm(part, 2)) or 1.0 for part in (self.B, self.D)]
         together = np.vstack([self.B / sizes[0], self.D / sizes[1]])
@@ -388,7 +389,7 @@ def law_gain(law: LinearLaw) -> Array:
 
 
 def gain_law(gain: Array, m: int, q: int, dt: float | None = None) -> LinearLaw:
-    """Returns the law from its static gain [D, C; B, A]. This function is the inverse of `law_gain`."""
+    """Returns the law from its static gain [D, C; B, A]. The function is the inverse of `law_gain`."""
     return LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q], sample_period=dt)
 
 
@@ -399,7 +400,7 @@ def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array
         open_loop: matrices [A; C], shape (n + d, n).
         inputs: matrices [B; D], shape (n + d, m).
         G: state gain, shape (m, n), or a gain from measurements.
-        beyond: true A and C minus their floats, shape (n + d, n); None if A and C are exact.
+        beyond: exact values of A and C minus their floats, shape (n + d, n); None if A and C are exact.
     """
     gain, rest = product(G.K, G.Cy) if isinstance(G, Feedback) else (G, np.zeros_like(G))
     moved, low = product(inputs, gain)
@@ -439,7 +440,7 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
 def check_states(n: int) -> None:
     """Raises an InputError if a plant has no state.
 
-    This check is only for plants that the user gives, because a part of a plant may have no states.
+    Only plants that the user supplies are checked, because a part of a plant may have no states.
     """
     if not n:
         raise InputError("A has shape (0, 0), a plant without states; give at least one")
@@ -472,7 +473,9 @@ def check_posed(plant: Plant) -> None:
 
 
 def on_all_rows(gain: Array, kept: Sequence[int] | Array, q: int) -> Array:
-    """Returns a gain on some of q measurements as a gain, shape (m, q), on all of them; the additional entries are zero."""
+    """Converts a gain on some of the q measurements to a gain on all q measurements, shape (m, q); the additional entries are
+    zero.
+    """
     whole = np.zeros((len(gain), q))
     whole[:, kept] = gain
     return whole

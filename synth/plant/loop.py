@@ -5,9 +5,9 @@
 The law computes the forces u from some of the outputs y. The other inputs d of the plant include the road, loads, measurement
 noise and forces from a road preview. In continuous time, the law acts without delay.
 
-In discrete time, the law samples y every T seconds, just before its new force starts to act. A measurement therefore contains
-the force that acted before the sample. In each part of the sample period, the force that acts was computed some samples ago.
-The state at a sample is
+In discrete time, the law samples y every T seconds, just before the new force starts to act. A measurement therefore contains
+the force that acted before the sample. In each part of the sample period, the acting force is a force that was computed some
+samples ago. The state at a sample is
 
     [x; states of the law; u[k-1]; ...; u[k-p]],
 
@@ -66,7 +66,7 @@ class Loop:
         measured: names of the measured outputs.
         forces: names of the m inputs that the law computes.
         hold: parts of the sample period in chronological order, each with the delay of its force; empty in continuous time.
-        step: time over which disturbances are held [s]; the parts of the period are multiples of this time.
+        step: time during which disturbances are held constant [s]; the parts of the period are multiples of this time.
         exponential: function that computes the matrix exponential of a step. With `taylor4`, the loop predicts the steps of an
             RK4 integrator.
     """
@@ -81,7 +81,7 @@ class Loop:
 
     @cached_property
     def acting_law(self) -> LinearLaw:
-        """Law as it runs in this loop: discrete with the sample period of the loop, or in continuous time.
+        """Law as it runs in the loop: discrete with the sample period of the loop, or in continuous time.
 
         Raises:
             InputError: the law cannot be converted; see `LinearLaw`.
@@ -114,7 +114,7 @@ class Loop:
     def direct_radius(self) -> float:
         """Spectral radius of `direct`.
 
-        If the radius is 1 or more, a force that is sampled or delayed grows through its own measurement.
+        If the radius is 1 or more, a sampled or delayed force grows, because the measurements contain this force.
         """
         return spectral_radius(self.direct)
 
@@ -145,7 +145,7 @@ class Loop:
 
     @cached_property
     def _held_plant(self) -> StateSpace:
-        """Plant with the forces as its first inputs, discretised over a step if disturbances are held over steps."""
+        """Plant with the forces as its first inputs, discretised with the step if disturbances are constant during each step."""
         plant = self._forced_plant
         if self.step is None or plant.dt is not None:
             return plant
@@ -153,7 +153,9 @@ class Loop:
         return replace(plant, A=Phi, B=Gamma, dt=self.step)
 
     def hold_matrices(self, duration: float) -> tuple[Array, Array]:
-        """Returns Phi and Gamma of the plant for inputs that are held for a duration [s]. The forces are the first inputs."""
+        """Returns Phi and Gamma of the plant for inputs that are held constant for a duration [s]. The forces are the first
+        inputs.
+        """
         return self._held_plant.hold_matrices(duration, self.exponential)
 
     @cached_property
@@ -162,7 +164,7 @@ class Loop:
 
         The inputs of the open loop are the forces and the disturbances. The outputs are the outputs of the plant, the states of
         the law, and the forces that the law requests. In discrete time, the force inputs are the forces computed at a sample.
-        Disturbances are then held over the sample period, and the outputs have their values just after the sample.
+        Disturbances are then constant during the sample period, and the outputs have their values just after the sample.
         """
         plant = self._forced_plant
         law, measured, m, p = self.acting_law, plant.rows(self.measured), len(self.forces), self.stored_forces
@@ -192,7 +194,8 @@ class Loop:
 
     @cached_property
     def closed_loop(self) -> StateSpace:
-        """Closed loop, in which the requested forces are added to the force inputs; these inputs are then external forces.
+        """Closed loop, in which the requested forces are added to the force inputs, so that the force inputs are external
+        forces.
 
         Raises:
             InputError: the algebraic loop through measurements that contain forces has no solution in continuous time.
@@ -210,13 +213,14 @@ class Loop:
 def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], start: Array | None = None) -> Array:
     """Returns outputs of a sampled-data loop at every step, shape (..., T, p).
 
-    One recursion computes the states at the samples. The steps between samples are then computed for all samples together.
+    One recursion computes the states at the samples. The outputs at the steps between samples are then computed for all samples
+    together.
 
     Args:
         loop: sampled-data loop with a step.
         outputs: names of p outputs. For states and requested forces of the law, the values are those at the last sample.
-        inputs: inputs by name, each of shape (..., T). Disturbances are held over each step. Values for a force are added to
-            the requested force at the samples.
+        inputs: inputs by name, each of shape (..., T). Disturbances are constant during each step. Values for a force are added
+            to the requested force at the samples.
         start: initial states of the plant, shape (n,). Default: zero.
     """
     system, lates, names = loop.closed_loop, loop.by_step, list(inputs)
@@ -315,8 +319,8 @@ def _by_step(
     """Returns the harmonic response in every step of the sample period, relative to exp(j omega t).
 
     Returns:
-        The plant from forces and given disturbances to the outputs. The states of this plant and the acting forces in each
-        step. The amplitudes of the disturbances.
+        The plant as a system from the forces and the disturbances in `drive` to the outputs. The states of this plant and the
+        acting forces in each step. The amplitudes of the disturbances.
     """
     plant = loop.plant.part(outputs, (*loop.forces, *(name for name in drive if name not in loop.forces)))
     (z, states, forces), (columns, d) = _harmonic(loop, drive, omega), _disturbances(loop, drive)
@@ -341,14 +345,14 @@ def harmonic_states(loop: Loop, drive: Mapping[str, Array], omega: Array) -> Arr
 def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> Array:
     """Returns the complex amplitudes of outputs of the plant for sinusoidal inputs, shape (F, p, c).
 
-    If the sample period has several steps, held forces cause additional frequencies. The result then contains only the part at
-    the frequency of the input.
+    If the sample period has several steps, held forces cause components at additional frequencies. The result then contains
+    only the component at the frequency of the input.
 
     Args:
         loop: loop in continuous time, or sampled-data loop.
         outputs: names of p outputs of the plant.
-        drive: complex amplitudes by name, each of shape (F, c). Disturbances are given at the start of a step. Values for a
-            force are added to the requested force.
+        drive: complex amplitudes of the sinusoidal inputs, by name, each of shape (F, c). The amplitudes of disturbances refer
+            to the start of a step. Values for a force are added to the requested force.
         omega: angular frequencies [rad/s], shape (F,).
     """
     if not loop.stored_forces and (not loop.hold or len(loop.by_step) == 1):
@@ -362,8 +366,8 @@ def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, A
 def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> tuple[Array, Array]:
     """Returns outputs of a sampled-data loop in every step of its sample period, for the inputs exp(j omega t).
 
-    The sample period starts at t = 0. Between samples, held forces cause additional frequencies, whereas `frequency_response`
-    contains only the part at omega. The arguments are those of `frequency_response`.
+    The sample period starts at t = 0. Between samples, held forces cause components at additional frequencies, whereas
+    `frequency_response` contains only the component at omega. The arguments are those of `frequency_response`.
 
     Returns:
         The outputs, complex, shape (P + 1, F, p, c), where the last entry is the start of the next period. The jumps of the

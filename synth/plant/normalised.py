@@ -1,4 +1,5 @@
-"""Normalisation of a plant and its measurements so that numbers are near 1, and conversion of a law to the given units.
+"""Normalisation of a plant and its measurements so that numbers are near 1, and conversion of a law to the units of the given
+plant.
 
 If the units of a plant change by powers of two, the normalised plant stays the same bit for bit. A design
 therefore does not depend on the units. A design depends only on the span of the measurements. The measurements are therefore

@@ -10,7 +10,7 @@ from models.common.threads import one_thread
 
 
 class DesignError(InputError):
-    """Failure of a design. The message describes the problem, its usual cause and what to do."""
+    """Failure of a design. The error message describes the problem, its usual cause and what the user can do."""
 
     exit_code = 1  # the exit code is 1, because the failure is not an error in the input
 
@@ -18,7 +18,7 @@ class DesignError(InputError):
 class InfeasibleError(DesignError):
     """Error that is raised if, provably, no controller of the requested type stabilises the plant.
 
-    The message names the mode that cannot be stabilised, or gives another reason.
+    The error message names the mode that cannot be stabilised, or gives a different reason.
     """
 
 
@@ -50,7 +50,9 @@ def of_rounding(error: BaseException) -> bool:
 
 @contextmanager
 def up_to_rounding() -> Iterator[None]:
-    """Ends the block without a message if an error is due to rounding, for example in a descent at the limit of stability."""
+    """Ends the `with` block without a message if an error is due to rounding, for example in a descent at the limit of
+    stability.
+    """
     try:
         yield
     except (ValueError, ArithmeticError) as error:
@@ -62,7 +64,7 @@ def up_to_rounding() -> Iterator[None]:
 def numerics() -> Iterator[None]:
     """Runs a block or a decorated function with one BLAS thread and without warnings about overflow.
 
-    Failed linear algebra raises a DesignError. Results can be infinite or NaN; the callers check for this.
+    Failed linear algebra raises a DesignError. Results can be infinite or NaN, so the callers check them.
 
     Raises:
         DesignError: numpy or scipy reports a matrix that is singular or not finite.

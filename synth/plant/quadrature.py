@@ -45,9 +45,9 @@ class Band:
     error: float
 
     def before(self, other: "Band") -> "Band":
-        """Returns this band followed by the adjacent band `other`.
+        """Returns the frequency band of this object followed by the adjacent band `other`.
 
-        The error of the result is the error of `other`, because the integrals over that band dominate.
+        The error of the result is the error of `other`, because the integrals over `other` dominate.
         """
         pairs = zip((self.omega, self.share, self.values), (other.omega, other.share, other.values), strict=True)
         return Band(*(np.concatenate(pair) for pair in pairs), error=other.error)
@@ -56,8 +56,8 @@ class Band:
         """Returns complex weights for Fourier integrals, shape (F,).
 
         `turning(t) @ f` is the integral of f exp(j omega t) over frequency [Hz]. The integral is accurate for any t [s],
-        because f is treated as the polynomial through its nodes on each panel. The method uses that the integral of P_l(x)
-        exp(j a x) from -1 to 1 is 2 j^l j_l(a), where P_l is a Legendre polynomial and j_l a spherical Bessel function.
+        because f is treated as the polynomial through its nodes on each panel. The method uses the formula 2 j^l j_l(a) for the
+        integral of P_l(x) exp(j a x) from -1 to 1, where P_l is a Legendre polynomial and j_l a spherical Bessel function.
         """
         from scipy import special  # this import takes 0.1 s
 
@@ -76,14 +76,14 @@ def sample_band(
     poles: Array,
     longest: float,
 ) -> Band:
-    """Samples a function at so many frequencies of a band that integrals over its values are accurate.
+    """Samples a function at enough frequencies of a band to make integrals over the values of the function accurate.
 
     Args:
         function: function of frequencies [rad/s] of shape (F,), which returns values of shape (F, ...).
         checked: function of frequencies, shape (F,), and of the values that `function` has at these frequencies. `checked`
             returns c nonnegative integrands whose integrals must be accurate, shape (F, c).
         low, high: ends of the band, above 0 [rad/s].
-        poles: poles of the function [rad/s], complex, shape (n,). Near poles, panels are short.
+        poles: poles of the function [rad/s], complex, shape (n,). The panels near poles are short.
         longest: largest length of a panel [rad/s].
     """
     left, right = _panels(low, high, poles, longest)

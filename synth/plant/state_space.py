@@ -73,7 +73,7 @@ class StateSpace:
     def closed(self, outputs: Sequence[str], inputs: Sequence[str]) -> "StateSpace":
         """Returns the system with feedback: each output in `outputs` is added to the input at the same place in `inputs`.
 
-        In the result, these inputs are external signals that are added to the feedback.
+        In the result, the inputs named in `inputs` are external signals that are added to the feedback.
 
         Raises:
             InputError: the feedback has an algebraic loop without a solution.
@@ -88,7 +88,9 @@ class StateSpace:
 
     @property
     def feedthrough_radius(self) -> float:
-        """Spectral radius of the feedthrough of a cut loop. If this radius is 1 or more, the closed loop has no delay margin."""
+        """Spectral radius of the feedthrough of a cut loop. If the spectral radius is 1 or more, the closed loop has no delay
+        margin.
+        """
         return spectral_radius(self.D)
 
     def loop_matrix(self, factor: Array | complex) -> Array:
@@ -99,14 +101,14 @@ class StateSpace:
         return self.A + self.B @ np.linalg.solve(np.eye(len(self.D)) - factor * self.D, factor * self.C)
 
     def hold_matrices(self, duration: float, exponential: Exponential = linalg.expm) -> tuple[Array, Array]:
-        """Returns Phi and Gamma for inputs that are held over a duration [s].
+        """Returns Phi and Gamma for inputs that are held constant for a duration [s].
 
         The states at the end of the duration are Phi x + Gamma u.
 
         Args:
-            duration: time over which the inputs are held [s].
-            exponential: function that computes the matrix exponential. In discrete time, this function is not used, because
-                steps are repeated.
+            duration: time during which the inputs are held constant [s].
+            exponential: function that computes the matrix exponential. In discrete time, this function is not used: the steps
+                of the system are repeated instead.
         """
         n, k = self.B.shape
         if self.dt is None:

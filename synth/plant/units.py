@@ -48,15 +48,16 @@ def reachable(plant: Plant, free: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class OwnUnits:
-    """Units in which the entries of a plant and of C_y are near 1. These units do not depend on the given units.
+    """Units in which the entries of a plant and of C_y are near 1. The units found do not depend on the units in which the
+    plant is given.
 
     The units are powers of two, so that conversion in either direction causes no rounding.
 
     Attributes:
         states: unit of each state in which entries are near 1, expressed in the given unit, shape (n,).
         inputs: unit of each input in which entries are near 1, expressed in the given unit, shape (m,).
-        exact: units of states and inputs before rounding to powers of two, shapes (n,) and (m,). These units do not depend on
-            the given units.
+        exact: units of states and inputs before rounding to powers of two, shapes (n,) and (m,). The units found do not depend
+            on the units in which the plant is given.
         rate: characteristic rate of the plant [rad/s]; see `own_units`. The units do not change the unit of time.
     """
 
@@ -66,15 +67,15 @@ class OwnUnits:
     rate: float
 
     def into(self, plant: Plant) -> Plant:
-        """Converts a plant from the given units to these units."""
+        """Converts a plant from its given units to the units of this object."""
         return _in_units(plant, self.states, self.inputs)
 
     def back(self, plant: Plant) -> Plant:
-        """Converts a plant from these units to the given units."""
+        """Converts a plant from the units of this object to its given units."""
         return _in_units(plant, 1 / self.states, 1 / self.inputs)
 
     def rows(self, Cy: Array) -> tuple[Array, Array]:
-        """Returns C_y, in these units of the states, as a product S V, where V has orthonormal rows.
+        """Returns C_y, in the state units of this object, as a product S V, where V has orthonormal rows.
 
         A design depends only on the span of the rows. Nearly dependent rows would lose digits in every product. A design
         therefore uses V, and inverts S only once, at the end.
@@ -89,7 +90,7 @@ class OwnUnits:
 
 
 def orthonormal_rows(rows: Array) -> tuple[Array, Array]:
-    """Decomposes a matrix of rows into S V.
+    """Decomposes a matrix, given by its rows, into a product S V.
 
     The rows of V are orthonormal and do not depend on the units, and S is lower triangular.
     """
@@ -117,7 +118,7 @@ def independent(rows: Array) -> list[int]:
 def unit_rows(Cy: Array) -> tuple[Array, Array]:
     """Returns the rows scaled to length 1, and their lengths, shape (q,).
 
-    After this scaling, no row is negligible because of its unit.
+    After rows have been scaled in this way, no row is negligible because of its unit.
     """
     lengths = np.linalg.norm(Cy, axis=1)
     return Cy / lengths[:, None], lengths
@@ -128,14 +129,14 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
     """Returns units of states and inputs in which the plant's entries are near 1, and the rate of the plant.
 
     The units result from a least-squares fit to the logarithms of all nonzero entries. The units of disturbances, outputs and
-    measurements are also unknowns of this fit. The function `balance` would ignore states that do not drive other states, or do
-    not depend on them. A norm requires one unit for all disturbances w, and one unit for all outputs z. These two units affect
-    the result only if nothing else determines the speed of the plant. For example, integrators have the rate at which motion
-    and driving force have the same weight in z.
+    measurements are also unknowns of the least-squares fit. The function `balance` would ignore states that do not drive other
+    states, or do not depend on other states. A norm requires one unit for all disturbances w, and one unit for all outputs z.
+    The units of w and z affect the result only if nothing else determines the speed of the plant. For example, integrators have
+    the rate at which motion and driving force have the same weight in z.
 
-    The pattern of zeros may leave some units undetermined. Undetermined units are kept as given, preferably those of the
-    disturbance. As a result, a plant that is given in two sets of units, which differ by powers of two, is identical bit for
-    bit after conversion.
+    The pattern of zeros in the matrices may leave some units undetermined. Undetermined units are kept as given, preferably
+    those of the disturbance. As a result, a plant that is given in two sets of units, which differ by powers of two, is
+    identical bit for bit after conversion.
 
     Args:
         plant: plant with n states. For a discrete plant, the units are those of `Plant.differences`.
@@ -198,7 +199,7 @@ def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
 
 
 def speed(plant: Plant) -> tuple[float, bool]:
-    """Returns the speed of the plant [rad/s], and True if this is the speed of its fastest pole.
+    """Returns the speed of the plant [rad/s], and True if this speed is the speed of the fastest pole.
 
     If all poles are at 0, the speed is the plant's rate (see `own_units`), and the second value is False. Poles of weighting
     filters do not count. For a discrete plant, the speed of a mode is its change per sample divided by dt.
@@ -214,7 +215,9 @@ def speed(plant: Plant) -> tuple[float, bool]:
 
 
 def are_integrators(A: Array) -> bool:
-    """Returns True if all poles are at 0 up to rounding. This test requires that the entries of A have similar sizes."""
+    """Returns True if all poles are at 0 up to rounding. The test of the poles requires that the entries of A have similar
+    sizes.
+    """
     n = len(A)
     return bool(np.linalg.norm(np.linalg.matrix_power(A / size(A), n), 2) <= NILPOTENT)
 

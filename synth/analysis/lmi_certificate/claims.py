@@ -1,7 +1,7 @@
 """Claims of LMI certificates about upper bounds. Each claim contains an X that proves its bound in rational arithmetic.
 
 X is computed in floats and rounded to as few bits as the proof allows, which keeps the files short. The code of
-`check_certificate.py` then checks the claim. A claim is returned only if this check proves the claim.
+`check_certificate.py` then checks the claim. A claim is returned only if the check of `check_certificate.py` proves the claim.
 """
 
 from collections.abc import Iterator
@@ -41,7 +41,7 @@ def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = N
         loop: closed loop in rational arithmetic.
         dt: sample period [s]; None for a continuous loop.
         bound: upper bound that the claim states for the norm. If `bound` is None, a value just above the norm is used.
-        known: matrix X that proves the bound, shape (n, n); None if no such matrix is known.
+        known: matrix X that proves the bound, shape (n, n); None if no matrix that proves the bound is known.
     """
     plain = floats(loop, dt)
     if not stability(plain.A, dt).stable:
@@ -128,7 +128,7 @@ def box_claims(loop: ExactLoop, proof: BoxProof, rate: float | None = None) -> l
     Args:
         loop: closed loop without gain errors, in rational arithmetic.
         proof: box of gain errors, split into parts, with a matrix X that proves the bound for each part.
-        rate: rate of decay that the parts prove [1/s]; None if the parts prove the bound on the norm.
+        rate: decay rate that is proved for every part [1/s]; None if a bound on the norm is proved instead.
     """
     what = {"of": "norm", "bound": decimal(proof.bound)} if rate is None else {"of": "decay", "rate": decimal(rate)}
     claims = list[Claim]()

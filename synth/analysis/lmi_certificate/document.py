@@ -1,13 +1,13 @@
 """LMI certificates of any plant: the plant, the gain and the claims, as JSON.
 
 A control law with states, x_c' = A x_c + B y, u = C x_c + D y, is written as the static gain [D, C; B, A] of a larger plant.
-This plant has the additional states x_c' = v with the inputs v, and it measures x_c.
+The larger plant has the additional states x_c with x_c' = v, the additional inputs v, and the additional measurements x_c.
 
 For a discrete law of a continuous plant, the claims concern the continuous counterpart of the law by Tustin's method. The
-counterpart and the discrete law have the same static gain, but the larger plants differ. With a = 2 / T, the plant of the
-counterpart has the states xi' = -a xi + v and measures x_c = 2 a xi - v. The transfer function from v to x_c is then (a - s) /
-(a + s), which Tustin's method substitutes for 1 / z. For both kinds of laws, the file thus contains the matrices of the law
-itself.
+counterpart and the discrete law have the same static gain, but the larger plants of the two laws differ. With a = 2 / T for the
+sample period T, the larger plant of the counterpart has the states xi' = -a xi + v and measures x_c = 2 a xi - v. The transfer
+function from v to x_c is then (a - s) / (a + s), which Tustin's method substitutes for 1 / z. The file of either kind of law
+thus contains the matrices of the law itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ def with_law(plant: Plant, law: LinearLaw) -> tuple[Plant, Array]:
 
 
 def plain_names(plant: Plant) -> Names:
-    """Returns the names x1, x2, ... for the states of a plant, and u1, w1, z1, y1, ... for its other signals."""
+    """Returns the names x1, x2, ... for the states of a plant, and names such as u1, w1, z1 and y1 for its signals."""
     counts = dict(zip("xuwzy", (len(plant.A), plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(plant.Cy)), strict=True))
     return {key: [(f"{letter}{i + 1}", "1") for i in range(counts[letter])] for letter, key in SIGNALS.items()}
 
@@ -69,11 +69,11 @@ class Document:
     """LMI certificate under construction: claims about one or more plants with the same gain.
 
     Attributes:
-        gain: gain from the measurements, including the states of the law, shape (m + k, q + k).
+        gain: gain from the measurements to the forces, extended by the states of the law, shape (m + k, q + k).
         law_states: number k of states of the law.
         plants: plants as JSON, by name.
         claims: proved claims.
-        not_exact: claims that the file does not prove, each with the reason.
+        not_exact: claims that the file does not prove, each with the reason why the proof is missing.
     """
 
     gain: Array
@@ -123,7 +123,7 @@ class Document:
             plant: plant with the states of the law.
             loop: closed loop of the gain with this plant.
             certificate: certificate of the closed loop.
-            of: plant to which the lower bound applies; its states are the first states of `plant`. None if the
+            of: plant to which the lower bound applies; the states of this plant are the first states of `plant`. None if the
                 file cannot contain a proof of the lower bound, because the plant of the bound has different states.
         """
         proof, below = certificate.proof, certificate.below
@@ -143,7 +143,7 @@ class Document:
 
         Args:
             controller: name of the controller.
-            about: additional entries of the file.
+            about: additional entries that are written to the file.
         """
         ends = [(claim.get("low", [[]]), claim.get("high", [[]])) for claim in self.claims]
         corners = [2 ** sum(a != b for a, b in zip(*low, *high, strict=True)) for low, high in ends]
@@ -168,7 +168,7 @@ def plant_certificate(name: str, plant: Plant, law: LinearLaw, certificate: Cert
         name: name of the controller.
         plant: continuous or discrete plant with measurements.
         law: control law.
-        certificate: certificate of the closed loop, such as `certify_law` returns.
+        certificate: certificate of the closed loop, for example from `certify_law`.
     """
     larger, gain = with_law(plant, law)
     document = Document(gain, law.states)

@@ -27,9 +27,9 @@ def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict 
     """Returns the claim of a lower bound, or the reason why a certificate cannot contain this claim.
 
     Args:
-        plant: plant of the bound. `loop` has the states of this plant, followed by the states of the law.
+        plant: plant to which the lower bound applies. `loop` has the states of this plant, followed by the states of the law.
         loop: closed loop with a controller, in rational arithmetic.
-        below: lower bound with its proof.
+        below: lower bound, with the proof of this bound.
     """
     if below.limit_at is not None:
         return _invariant_point(plant, loop, below)

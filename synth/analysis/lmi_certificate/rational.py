@@ -1,4 +1,4 @@
-"""Numbers of LMI certificates: floats as strings of rational numbers, and matrices rounded to few bits."""
+"""Numbers in LMI certificates: floats are written as strings of rational numbers, and matrices are rounded to few bits."""
 
 from collections.abc import Iterator, Sequence
 from decimal import ROUND_FLOOR, Context
@@ -23,7 +23,7 @@ def rational(value: float | Fraction) -> str:
 
 
 def rows(matrix: Array | Sequence[Sequence[Fraction]]) -> list[list[str]]:
-    """Returns a matrix of floats or rational numbers as rows of texts, each of which gives an entry exactly."""
+    """Returns a matrix of floats or rational numbers as rows of texts; each text is the exact value of an entry."""
     return [[rational(entry) for entry in row] for row in matrix]
 
 
@@ -33,7 +33,9 @@ def decimal(value: float) -> Fraction:
 
 
 def rounded(value: float, count: int, direction: str = ROUND_FLOOR) -> float:
-    """Returns a number rounded to `count` significant digits, by default down; `direction` is a `decimal` rounding mode."""
+    """Returns a number rounded to `count` significant digits, by default downwards; `direction` is a rounding mode of the
+    module `decimal`.
+    """
     return float(Context(prec=count, rounding=direction).create_decimal(value))
 
 
@@ -52,7 +54,7 @@ def exact_loop(plant: Plant, K: Array) -> ExactLoop:
 
 
 def floats(loop: ExactLoop, dt: float | None) -> Plant:
-    """Returns the closed loop from w to z in floats, with each entry rounded once."""
+    """Returns the closed loop from w to z in floats, with each matrix entry rounded once."""
     n = len(loop.I.rows)
     S, W = (np.array(M.rows, dtype=float) for M in (loop.S, loop.W))
     return Plant.without_inputs(S[:n], W[:n], S[n:], W[n:], dt=dt)
