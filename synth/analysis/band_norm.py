@@ -1,11 +1,11 @@
 """H-infinity norm of a loop within a frequency band, computed from level sets and from a frequency sweep.
 
-The norm in a band is computed by the same two methods as the norm over all frequencies (`synth/analysis/norm.py`). The
-result is a pair of gains, called levels, that enclose the norm. At some frequency in the band, the gain reaches the lower
-level. The upper level is slightly higher than the lower level, and the gain does not exceed the upper level anywhere in the
-band. To check the upper level, the imaginary part of every eigenvalue of the Hamiltonian matrix counts as a frequency of a
-possible crossing of the level. The real part of the eigenvalue is ignored. Between two neighbouring crossings, or between a
-crossing and an edge of the band, the gain is above the level either everywhere or nowhere.
+The norm in a band is computed by the same two methods as the norm over all frequencies (`synth/analysis/norm.py`). Two gains,
+called levels, enclose the norm. At some frequency in the band, the gain reaches the lower level. The upper level is slightly
+higher than the lower level, and the gain does not exceed the upper level anywhere in the band. To check the upper level, the
+imaginary part of every eigenvalue of the Hamiltonian matrix counts as a frequency of a possible crossing of the level. The real
+part of the eigenvalue is ignored. Between two neighbouring crossings, or between a crossing and an edge of the band, the gain
+is either everywhere above the level or nowhere.
 
 **A norm in a band does not imply stability**, and it implies nothing about frequencies outside the band. For a stable loop, the
 norm is the largest amplification of a sinusoid whose frequency is in the band. An unstable loop also has a frequency response,
@@ -33,12 +33,12 @@ class BandNorm:
 
     Attributes:
         value: largest gain in the band; infinite if a pole lies on the imaginary axis within the band.
-        peak_frequency: frequency in the band at which the gain is `value` [rad/s]. The frequency may be an edge of the
+        peak_frequency: frequency in the band at which the gain is `value` [rad/s]. The peak frequency may be an edge of the
             band.
         level: upper bound on the gain in the band, slightly above `value`.
         low: lower edge of the band [rad/s].
         high: upper edge of the band [rad/s]; may be infinite.
-        gap: relative difference between the largest gains that the two methods found.
+        gap: relative difference between the largest gains that the two methods (level sets and sweep) found.
         rounding: first-order bound on the relative rounding error of `value`.
         stability: stability of the loop. If the loop is unstable, `value` is not an amplification.
     """
@@ -64,7 +64,7 @@ class BandNorm:
 
 @numerics()
 def norm_in_band(loop: Plant, low: float, high: float) -> BandNorm:
-    """Returns the largest gain from w to z within a frequency band, for u = 0.
+    """Returns the largest gain from w to z within a frequency band, with the control u = 0.
 
     Args:
         loop: loop in continuous or discrete time; for a plant with a controller, use `plant.closed_loop(...)`.
@@ -77,7 +77,7 @@ def norm_in_band(loop: Plant, low: float, high: float) -> BandNorm:
 
     Raises:
         InputError: the band is empty or out of range.
-        DesignError: a discrete loop has a pole at z = -1.
+        DesignError: the loop is discrete and has a pole at z = -1.
 
     Example:
         >>> from synth import GeneralizedPlant, Feedback, norm_in_band
@@ -130,7 +130,9 @@ def _gain(loop: Plant, low: float, high: float) -> Gain:
 
 
 def exceeds(gain: Gain, level: float) -> bool:
-    """Returns True if the gain exceeds the level at some frequency in the band. `gain` defines the loop and the band."""
+    """Returns True if the gain exceeds the level at some frequency in the band. The argument `gain` specifies the loop and the
+    frequency band.
+    """
     if gain.high == np.inf and gain.at_infinity > level:
         return True
     return bool(np.any(gain.at(proposals(gain, level)[0]) > level))

@@ -85,7 +85,7 @@ def certify_law(plant: Plant, law: LinearLaw, lower_bound: "LowerBound | None" =
 
 
 def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_seen: bool = False) -> Array:
-    """Returns X > 0 that satisfies (20) for a stable loop whose norm is below gamma, shape (n, n).
+    """Returns a matrix X > 0 that satisfies LMI (20) for a stable loop whose norm is below gamma, shape (n, n).
 
     The matrix X solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, which is the Schur
     complement of (20) with a margin (Zhou, Doyle, Glover 1996, section 13.5). Bw~ Bw~' is Bw Bw' plus `more` times the
@@ -94,7 +94,7 @@ def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_
 
     Args:
         loop: stable loop in continuous time.
-        gamma: bound, larger than the norm.
+        gamma: bound on the norm; must be larger than the norm.
         more: factor that multiplies the noise; the factor should be small compared with the relative gap between gamma and the
             norm.
         everywhere: relative power of the noise that acts on every state, including states that are not controllable from w.

@@ -15,18 +15,18 @@ For a discrete closed loop, the inequality is
     [ A X A' - X + eta Bw Bw'    A X C' + eta Bw Dw'       ]
     [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
 
-which is not affine in a gain. A design therefore uses a larger matrix, whose Schur complement is the matrix above. For the
-larger matrix, the plant is written in differences over the sample period T (`Plant.differences`), and X T replaces X. The
-larger matrix then consists of the matrix for a continuous plant and additional rows and columns:
+which is not affine in a gain. A design therefore uses a larger matrix, whose Schur complement is the matrix of the discrete
+inequality. For the larger matrix, the plant is written in differences over the sample period T (`Plant.differences`), and X T
+replaces X. The larger matrix then consists of the matrix for a continuous plant and additional rows and columns:
 
     [ He(A X + B Y) + eta Bw Bw'          *                 *   ]
     [ C X + D Y + eta Dw Bw'              -I + eta Dw Dw'   *   ]
     [ sqrt(T) (A X + B Y)'        sqrt(T) (C X + D Y)'     -X   ]  < 0.
 
-As T decreases, the entries of the matrix for the discrete plant approach the entries of the matrix for the continuous plant. No
-digits are lost by cancellation, even at a sample rate of 1 kHz.
+As T decreases, the entries of the matrix for the discrete plant approach the entries of the matrix for the continuous plant.
+The larger matrix loses no digits by cancellation, even at a sample rate of 1 kHz.
 
-The LMI is *proved* in exact arithmetic (`analysis/rigorous.py`), for matrices whose floats are taken as exact numbers. The
+The LMI is *proved* in exact arithmetic (`analysis/rigorous.py`): all floats in the matrices are taken as exact numbers. The
 proof shows that the loop A + B G is stable and that its norm is below the bound. The norm itself is computed by two methods.
 """
 
@@ -149,7 +149,7 @@ class LmiProof:
         X: symmetric matrix, shape (n, n).
         eta: gamma^-2.
         positive: result of the check that X is positive definite.
-        negative: result of the check that minus the left side of (20) is positive definite.
+        negative: result of the check that the left side of (20), multiplied by -1, is positive definite.
     """
 
     X: Array
@@ -193,7 +193,7 @@ def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Def
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate(ShownResult):
-    """Stability, norm and bounds of a closed loop, with the proofs of these results.
+    """Stability, norm and bounds of a closed loop, together with the proofs of these results.
 
     Attributes:
         loop: closed loop to which all results apply.
@@ -206,7 +206,8 @@ class Certificate(ShownResult):
             plant. If all poles are at 0, the speed is the rate at which motion and driving force have equal weight in z
             (`units.own_units`).
         norm_rounding: threshold below which the norm counts as zero, so that the results of the two methods need not agree.
-        below: lower bound on the norm for all controllers with the same measurements, with its proof; None if not requested.
+        below: lower bound on the norm for all controllers with the same measurements, with its proof; None if the bound was not
+            requested.
     """
 
     public_name = "a certificate, such as synth.certify returns"
@@ -223,7 +224,7 @@ class Certificate(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Document with the norm, the proved bound, the lower bound, and the claims that do not hold."""
+        """Document with the norm, the proved bound, the lower bound, and those claims that do not hold."""
         return facts(f"certificate: {'FAILS' if self.failures else 'holds'}", self.claims)
 
     @property
@@ -331,7 +332,7 @@ class Certificate(ShownResult):
         return tuple(failures)
 
     def peaks_at(self, omega: float) -> bool:
-        """Returns True if the gain at omega [rad/s] equals the norm.
+        """Returns True if the gain at the frequency omega [rad/s] equals the norm, within the allowed difference.
 
         The gain is flat at a peak, so the relative accuracy of a peak frequency is only about 1e-5.
         """
@@ -359,8 +360,8 @@ def certify(
 
     Args:
         plant: plant with n states and m inputs.
-        G: gain from the measurements, as in (6) of the paper, used without rounding; or a state gain of shape (m, n).
-        X: symmetric matrix of (20), shape (n, n).
+        G: gain from the measurements, as in (6) of the paper, which is used without rounding; or a state gain of shape (m, n).
+        X: symmetric matrix X of LMI (20), shape (n, n).
         eta: gamma^-2 of (20), required if X is given.
         lower_bound: lower bound on the norm for all controllers with the same measurements as G.
         plant_without_law: plant without the states of the controller. `Certificate.speed_up` is relative to the speed of
@@ -406,8 +407,8 @@ def certify(
 def prove_bound(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> LmiProof:
     """Checks whether X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
 
-    The matrix of (20) (see the docstring of the module `certificate.py`) is computed from X, eta, the plant and the gain
-    without rounding.
+    The matrix of (20) (see the docstring of the module `certificate.py`) is computed without rounding from X, eta, the plant
+    and the gain.
 
     Args:
         plant: plant with n states and m inputs.
@@ -442,7 +443,7 @@ def eta_of(bound: float) -> float:
 
 
 def bound_of(eta: float) -> float:
-    """Returns gamma = eta^-1/2, rounded up."""
+    """Returns the bound gamma = eta^-1/2, rounded up."""
     bound = float(eta**-0.5)
     while Fraction(bound) ** 2 * Fraction(eta) < 1:
         bound = float(np.nextafter(bound, np.inf))
@@ -460,9 +461,9 @@ def _norm_rounding(loop: Plant, at: float) -> float:
 
 
 class LaterBound:
-    """A `LowerBound` that is proved only when one of its attributes is first read.
+    """A `LowerBound` whose proof is computed only when one of its attributes is first read.
 
-    If the object is sent to a worker process, the proof is computed before sending.
+    If the object is sent to a worker process, the proof is computed before the object is sent.
     """
 
     def __init__(self, prove: Callable[[], Any]) -> None:

@@ -2,10 +2,10 @@
 
 The energy of w is the integral of |w|^2. Consider a signal s = c x of a stable loop x' = A x + Bw w with x(0) = 0. If w has the
 energy 1, |s| is at most (c P c')^1/2, where P solves A P + P A' + Bw Bw' = 0. The time-reversed impulse response of s, used as
-a disturbance, comes arbitrarily close to the bound on |s| (Wilson 1989; Rotea 1993). For the energy E, the bound is larger by
-the factor E^1/2. For a vector C x of several signals, the length of this vector is at most the square root of the largest
-eigenvalue of C P C'. If w has a direct feedthrough to a signal, the peak of this signal is unbounded. The signals may also
-contain control forces.
+a disturbance, comes arbitrarily close to the bound on |s| (Wilson 1989; Rotea 1993). For a disturbance of energy E, the bound
+is larger by the factor E^1/2. For a vector C x of several signals, the length of this vector is at most the square root of the
+largest eigenvalue of C P C'. If w acts directly (with a feedthrough) on a signal, the peak of this signal is unbounded. The
+signals may also contain control forces.
 
 **The proof** is a matrix X > 0 with A X + X A' + Bw Bw' < 0, which is slightly larger than P. A matrix X of the proof shows
 that no peak exceeds (c X c')^1/2. The inequality A X + X A' + Bw Bw' < 0 is LMI (20) without z, so `certificate.prove_bound`

@@ -2,9 +2,9 @@
 
 Assume that M - s E = [A - s, B; C, D] loses rank at a point s with Re s > 0, and that [q; p]' (M - s E) = 0. In every stable
 loop, the Laplace transforms of x and u are finite at s. Therefore p' z = (q' Bw + p' Dw) w at s for every controller.
-Transposing the plant gives a second condition. Let t be a zero from w to y = C_y x + Dyw w. At t, some w = v leads to the same
-output z = x, whatever controller uses the measurements y. The transfer function T from w to z thus satisfies the interpolation
-conditions
+The transposed plant gives a second condition. Let t be a zero of the transfer function from w to y = C_y x + Dyw w. At t, some
+w = v leads to the same output z = x, whatever controller uses the measurements y. The transfer matrix T from w to z thus
+satisfies the interpolation conditions
 
     p_i' T(s_i) = y_i',        T(t_k) v_k = x_k.
 
@@ -19,7 +19,7 @@ If some inputs do not appear in z, M - s E can be singular at every s. The pairs
 k with k' (Q - s U) = 0. Here Q - s U is the pencil of a `SynthesisInequality`. The pencil Q - s U is regular, and it yields all
 pairs [q; p].
 
-On the imaginary axis, a single interpolation condition already proves that the norm is at least |x_k| / |v_k|. On the imaginary
+On the imaginary axis, one interpolation condition is enough to prove that the norm is at least |x_k| / |v_k|. On the imaginary
 axis, the interpolation conditions of the plant come from its invariant points (see `invariant_point.py`). The interpolation
 conditions of the transposed plant come from disturbances that do not reach y at some frequency, or at infinity.
 
@@ -27,8 +27,8 @@ A zero in the open half plane is usually not a floating-point number, so it is e
 solution of the equations k' (Q - s U) = 0 with a normalised k, and let R approximate the inverse of their derivative at (k, s).
 The residual in the inequality below includes a bound on the rounding error of the residual. An exact solution lies within the
 radius r around (k, s) if |R residual| + |I - R derivative| r + |R| |U| r^2 / 2 <= r (`radius_of_solution`). If several vectors
-k belong to a zero, additional equations select the vector that gives the largest bound. No controller reaches the norm gamma if
-some vector v satisfies v* P v < 0 for every Pick matrix P within the enclosures.
+k belong to the same zero, additional equations select the vector that gives the largest bound. No controller reaches the norm
+gamma if some vector v satisfies v* P v < 0 for every Pick matrix P within the enclosures.
 """
 
 from collections.abc import Sequence
@@ -82,13 +82,13 @@ def zero_limit(
 ) -> tuple[float, Zeros]:
     """Returns the largest lower bound that is proved by zeros in the right half plane, and approximations of these zeros.
 
-    The bound is 0 if the zeros prove nothing.
+    The bound is 0 if the zeros do not prove any bound.
 
     Args:
         plant: plant for which the bound holds. If the plant has no measurements, all states count as measured, and only zeros
             from u to z are used.
         inequalities: synthesis inequalities of the plant and of the transposed plant; None if they are not computed yet. The
-            second inequality is None if the transposed plant is not used.
+            inequality of the transposed plant is None if the transposed plant is not used.
     """
     one, other = _sides(plant, inequalities)
     left, right = (_enclosed_nodes(side, side.zeros()) for side in (one, other))
@@ -104,7 +104,7 @@ def zero_limit(
 
 @np.errstate(all="ignore")  # a value that is infinite or NaN never counts as a proof
 def limit_at_zeros(plant: Plant, near: Zeros) -> float:
-    """Returns the lower bound on the norm that the zeros near the given points prove; 0 if no zero can be enclosed."""
+    """Returns the lower bound on the norm that zeros near the given points prove; 0 if no zero can be enclosed."""
     left, right = (_enclosed_nodes(side, points) for side, points in zip(_sides(plant), near, strict=True))
     others = [0.0]
     if len(plant.Cy) and plant.dt is None:
@@ -146,7 +146,7 @@ class _Pencil(NamedTuple):
     """Equations k' (Q - s U) = 0, p = c' k, y = b' k of a `SynthesisInequality`, scaled so that the entries are near 1.
 
     Attributes:
-        U, Q, b, c: matrices of the equations, with every entry rounded once.
+        U, Q, b, c: matrices of the equations, with every matrix entry rounded once.
         rate: unit in which s is expressed [rad/s].
         unit: unit in which the vector y is expressed.
     """
@@ -310,9 +310,10 @@ def _product(a: Array, da: float, b: Array, db: float) -> tuple[complex, float]:
 
 
 def _quotient(dividend: tuple[complex, float], divisor: complex, one: Node, other: Node) -> tuple[complex, float]:
-    """Returns a quotient and a bound on the error of the quotient. The divisor is a sum or difference of two zeros.
+    """Returns the quotient of two numbers and a bound on the error of this quotient. The divisor is the sum or the difference
+    of two zeros.
 
-    The bound is infinite if the divisor may be zero.
+    The error bound is infinite if the divisor may be zero.
     """
     error = one.radii[0] + other.radii[0] + SAFE * np.finfo(float).eps * (abs(one.zero) + abs(other.zero))
     entry = dividend[0] / divisor

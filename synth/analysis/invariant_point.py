@@ -1,6 +1,6 @@
 """Lower bounds on the norm from invariant points: frequencies at which some direction of z is independent of the control.
 
-At one frequency, let z = Gw w + Gu u. No controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm
+Let z = Gw w + Gu u at one frequency. No controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm
 of the part that is orthogonal to Gu is a lower bound on the norm of every closed loop. For a suspension, this lower bound is
 largest at the invariant point of the wheel (Hedrick, Butsuen 1990).
 
@@ -124,8 +124,8 @@ def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
     the unit circle. The rows of the matrix that belong to the states are multiplied by 1 - j t.
 
     Returns:
-        The real part and the imaginary part of M, up to a common factor, each of shape (n + d, n + m). The matrix of the
-        effects of w on the real and imaginary parts of p* z, shape (2 (n + d), 2 r), and the denominator of this matrix.
+        The real part and the imaginary part of M, both multiplied by the same factor, each of shape (n + d, n + m). The matrix
+        that describes the effects of w on the real and imaginary parts of p* z, shape (2 (n + d), 2 r), and its denominator.
     """
     n, m = plant.B.shape
     system, unit = integers(plant.system_matrix)
@@ -151,7 +151,7 @@ def limit_at_infinity(plant: Plant) -> float:
     """Returns a proved lower bound on the gain at infinite frequency for all proper controllers that measure y = C_y x + Dyw w.
 
     The bound is the norm of Dw, restricted to disturbances without feedthrough to y, or to outputs without feedthrough from the
-    control forces. The bound is 0 if nothing is proved.
+    control forces. The bound is 0 if no bound can be proved.
     """
     return max(_limit_beside(plant.Dyw.T, plant.Dw), _limit_beside(plant.D, plant.Dw.T))
 

@@ -24,7 +24,7 @@ central path, W = (c c' - He(Q X U') - eta b b')^-1 is a dual solution. A point 
 floats. The bound is valid for any values of the factors L, Y1, Y2 and K. The numbers e, t and f and the entries of V are then
 computed in integers from the entries of the plant's matrices, without a tolerance. Only the definiteness of V is checked in
 floats. The check of definiteness uses entries that were rounded once, and a proved bound on the rounding errors
-(`analysis/rigorous.py`). The largest eigenvalue is rounded down.
+(`analysis/rigorous.py`). The largest eigenvalue of the matrix is rounded down.
 """
 
 from dataclasses import dataclass
@@ -153,7 +153,7 @@ def prove_from_inequalities(
 
 @dataclass(frozen=True, eq=False)
 class _Dual:
-    """Numbers e and t and the matrix V = T^-T V_T T^-1 of a dual solution.
+    """The numbers e and t and the matrix V = T^-T V_T T^-1 of a dual solution.
 
     Attributes:
         e, t: exact values of the numbers e and t of the dual solution. For an antistable part, `e` is a lower bound on the
@@ -198,7 +198,7 @@ def dual_factors(side: SynthesisInequality, certificate: DualCertificate) -> tup
 
 @np.errstate(all="ignore")
 def _dual(side: SynthesisInequality, certificate: DualCertificate) -> _Dual | None:
-    """Returns the dual solution of a certificate; None if the dual solution proves no bound."""
+    """Returns the dual solution that belongs to a certificate; None if this solution proves no bound."""
     factors, part = dual_factors(side, certificate), side.antistable
     if factors is None:
         return None
@@ -291,7 +291,7 @@ class CouplingMatrix:
 
 
 def _best_coupling(first: _Dual, second: _Dual, between: CouplingMatrix) -> Fraction:
-    """Returns f for the best V12 with which V is proved positive definite; 0 if no such V12 is found."""
+    """Returns f for the best V12 found for which V is proved positive definite; 0 if no such V12 is found."""
     if not between.whole.size:
         return Fraction(0)
     (Y1, over1), (Y2, over2), (T1, under1), (T2, under2) = map(integers, (first.Y, second.Y, first.T, second.T))

@@ -3,7 +3,7 @@
 - `level_set_norm`: the imaginary eigenvalues of a Hamiltonian matrix are the frequencies at which a singular value crosses a
   level (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). The method of level sets misses no peak, unless rounding
   changes the eigenvalues too much.
-- `sweep_norm`: a frequency sweep that is dense around every pole, and refined at every local maximum. Each gain in the sweep is
+- `sweep_norm`: a frequency sweep that is dense near every pole and is refined at every local maximum. Each gain in the sweep is
     a gain of the transfer function at a frequency, so the result of the sweep never exceeds the norm.
 
 `hinf_norm` uses both methods, and also returns the difference between the two results. The methods find the peak of the gain on
@@ -77,7 +77,8 @@ def _smaller_square(T: Array) -> Array:
 
 
 def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
-    """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the precision, and an estimate of the error.
+    """Returns the frequency response Dw + C (j omega - A)^-1 Bw (19), computed with twice the precision, and an estimate of its
+    error.
 
     Args:
         system: system from w to z, including `beyond`, the low-order digits of its matrices.
@@ -127,7 +128,7 @@ class Gain:
         return np.minimum(np.maximum(omega, self.low), self.high)
 
     def at(self, omega: Array) -> Array:
-        """Returns the largest singular value at each angular frequency `omega` [rad/s], shape (F,)."""
+        """Returns the largest singular value of the transfer matrix at each angular frequency `omega` [rad/s], shape (F,)."""
         return np.linalg.norm(self.system.frequency_response(omega), 2, axis=(1, 2))
 
     def about(self, omega: Array) -> Array:
@@ -145,7 +146,9 @@ class Gain:
         return max(float(gains.max()), self.at_infinity if self.high == np.inf else 0.0)
 
     def climb(self, omega: Array, width: Array) -> tuple[float, float]:
-        """Returns the highest gain near the frequencies `omega`, within the distances `width`, and its frequency [rad/s]."""
+        """Returns the highest gain within the distances `width` of the frequencies `omega`, and the frequency of this gain
+        [rad/s].
+        """
         at = self._climbed(self.about, omega, width)
         return float(self.at(at)[0]), float(at[0])
 
@@ -180,7 +183,7 @@ class Gain:
     def grid_error(self, at: float) -> float:
         """Returns the relative amount by which the true peak may exceed the highest gain found, to second order.
 
-        The true peak would lie between the frequency of the highest gain and the next frequency that was tried.
+        The true peak would lie between the frequency of the highest gain and a neighbouring frequency that was tried.
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
@@ -190,8 +193,7 @@ class Gain:
     def missed_closely(self, at: float) -> float:
         """Returns the bound of `grid_error`, computed with twice the precision.
 
-        `grid_error` is computed with twice the precision if rounding may have moved the poles, so that the search may have
-        missed a peak.
+        The result is needed if rounding may have moved the poles, so that the search may have missed a peak.
 
         Near a resonance, gain^-2 is a parabola in the frequency. The parabola is fitted through three frequencies.
         """
@@ -227,7 +229,9 @@ class Gain:
         return (self.at_infinity, np.inf) if self.high == np.inf and self.at_infinity > best else (best, at)
 
     def _climbed(self, gain: Callable[[Array], Array], omega: Array, width: Array, zooms: int = ZOOMS) -> Array:
-        """Returns the frequency [rad/s] of the highest gain within `width` of the frequencies `omega`, shape (1,)."""
+        """Returns the frequency [rad/s] of the highest gain within the distances `width` of the frequencies `omega`, shape
+        (1,).
+        """
         steps = np.linspace(-1, 1, 21)[:, None]
         for _ in range(zooms):
             near = self.within(omega + width * steps)
@@ -236,7 +240,7 @@ class Gain:
         return omega[[gain(omega).argmax()]]
 
     def _width(self, omega: Array) -> Array:
-        """Returns the damping of the pole nearest to each frequency [rad/s]. No peak is narrower than this damping."""
+        """Returns the damping of the pole that is nearest to each frequency [rad/s]. No peak is narrower than this damping."""
         nearest = np.abs(omega[:, None] * 1j - self.poles).argmin(axis=1)
         return np.abs(np.real(self.poles[nearest]))
 
@@ -248,7 +252,7 @@ class Gain:
     def _residues(self) -> Array | None:
         """Residues C v w' Bw of the modes, shape (n, d r), where v and w are the right and left eigenvectors.
 
-        The value is None if the modal form loses too many digits.
+        The residues are None if the modal form loses too many digits.
         """
         if not len(self.system.A) or not np.linalg.cond(self.vectors) < ILL_CONDITIONED:
             return None
@@ -270,10 +274,10 @@ class Norm:
     """H-infinity norm of a system, computed by two methods.
 
     Attributes:
-        value: larger of the results of the two methods; infinite if the system is not stable.
+        value: larger of the norms found by the two methods; infinite if the system is not stable.
         peak_frequency: frequency of the peak [rad/s]; NaN if the system is not stable.
-        level_set: norm that the method of level sets found.
-        sweep: norm that the frequency sweep found.
+        level_set: norm that was found by the method of level sets.
+        sweep: norm that was found by the frequency sweep.
         rounding: first-order bound on the relative error of `value`, caused by rounding or by a peak between neighbouring
             frequencies.
     """
@@ -286,7 +290,7 @@ class Norm:
 
     @property
     def gap(self) -> float:
-        """Relative difference between the results of the two methods."""
+        """Relative difference between the norms found by the two methods."""
         return abs(self.level_set - self.sweep) / self.value if 0 < self.value < np.inf else 0.0
 
 
@@ -358,7 +362,9 @@ def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
 
 
 def gain_at(system: Plant, omega: float) -> float:
-    """Returns the largest singular value at the frequency omega [rad/s], computed with twice the precision."""
+    """Returns the largest singular value of the transfer matrix at the frequency omega [rad/s], computed with twice the
+    precision.
+    """
     if system.dt is not None:
         discrete = FEATURES.load("discrete plants")
         at = discrete.mapped_frequency(omega, system.dt) * system.dt / 2
@@ -403,8 +409,8 @@ def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
     shapes (k,) [rad/s].
 
     The frequencies are the crossings of the level, the ends of the interval, and the midpoints between neighbouring
-    frequencies. Between two neighbouring crossings, the gain is above the level either everywhere or nowhere. Therefore, if the
-    gain exceeds the level anywhere, it exceeds the level at one of the returned frequencies.
+    frequencies. Between two neighbouring crossings of the level, the gain is either everywhere above the level or nowhere.
+    Therefore, if the gain exceeds the level anywhere, it exceeds the level at one of the returned frequencies.
     """
     crossings = level_crossings(gain.system, level)
     crossings = np.concatenate([gain.edges[:1], crossings[(crossings > gain.low) & (crossings < gain.high)], gain.edges[1:]])
@@ -413,7 +419,8 @@ def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
 
 
 def level_crossings(system: Plant, level: float) -> Array:
-    """Returns the nonnegative imaginary parts of the Hamiltonian matrix's eigenvalues in ascending order [rad/s], shape (k,).
+    """Returns the nonnegative imaginary parts of the eigenvalues of the Hamiltonian matrix in ascending order [rad/s], shape
+    (k,).
 
     The first value is 0. The values include every frequency at which a singular value of Dw + C (s - A)^-1 Bw
     equals the level.

@@ -3,11 +3,11 @@
 Matrices of integers are numpy arrays of Python integers. Elimination is fraction-free (Bareiss 1968): every intermediate entry
 is a minor of the matrix, so the size of the integers grows only with the number of rows.
 
-The definiteness of M is tested with a Cholesky decomposition of M - c I in floating point. If the decomposition succeeds, M is
-positive definite in exact arithmetic, provided that c exceeds the rounding errors (Rump 2006, Verification of positive
-definiteness, BIT 46, 433-452). The computed factor R satisfies R'R = M - c I + D with |D| <= d d', where d_j^2 = gamma_j / (1 -
-gamma_j) M_jj, and gamma_j is about j times the unit roundoff. The test never accepts a matrix that is not positive definite.
-The test rejects a positive definite matrix that rounding could make singular.
+Whether M is positive definite is tested with a Cholesky decomposition of M - c I in floating point. If the decomposition
+succeeds, M is positive definite in exact arithmetic, provided that c exceeds the rounding errors (Rump 2006, Verification of
+positive definiteness, BIT 46, 433-452). The computed factor R satisfies R'R = M - c I + D with |D| <= d d', where d_j^2 =
+gamma_j / (1 - gamma_j) M_jj, and gamma_j is about j times the unit roundoff. The definiteness test never accepts a matrix that
+is not positive definite. The definiteness test rejects a positive definite matrix that rounding could make singular.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ def floats(matrix: Array, unit: Fraction = Fraction(1)) -> Array:
 
 
 def product(left: Array, right: Array) -> Array:
-    """Returns left @ right for matrices of integers. If the inner dimension is 0, the product is zero."""
+    """Returns left @ right for matrices of integers. If the inner dimension of the matrices is 0, the product is zero."""
     return left @ right if left.shape[1] else zeros(len(left), right.shape[1])
 
 
@@ -60,7 +60,8 @@ PRIME = 2**31 - 1  # the product of two remainders fits into 64 bits
 
 
 def span_all(rows: Array, step: Array) -> bool:
-    """Returns True only if the rows of R, R S, R S^2, ... span the whole space, where R is `rows` and S is `step`.
+    """Returns True only if the rows of R, R S, R S^2, ... span the whole space, where R is the matrix `rows` and S the matrix
+    `step`.
 
     If R and S are the output matrix and the state matrix of a plant, the plant is then observable. The rank is computed modulo
     a prime, and it never exceeds the true rank. The result True is therefore a proof, but the result False may only be due to
@@ -191,7 +192,7 @@ class Definiteness:
     Attributes:
         smallest: computed smallest eigenvalue; NaN if a diagonal entry is not positive or an entry is out of range.
         rounding: bound on the effect of rounding errors, which the smallest eigenvalue must exceed for a proof.
-        proved: True if the matrix is proved positive definite despite rounding.
+        proved: True if the matrix is proved positive definite even with rounding errors.
     """
 
     smallest: float
@@ -206,9 +207,9 @@ def radius_of_solution(residual: float, contraction: float, curvature: float) ->
     The proof uses Brouwer's fixed-point theorem: x - R f(x) maps the ball around the point into itself (Krawczyk).
 
     Args:
-        residual: bound on |R f| at the point, where R approximates the inverse of the derivative f'.
-        contraction: bound on |I - R f'| at the point.
-        curvature: bound on twice the quadratic part of |R f|, divided by the square of the distance from the point.
+        residual: bound on |R f| at the point x, where R approximates the inverse of the derivative f'.
+        contraction: bound on |I - R f'| at the point x.
+        curvature: bound on twice the quadratic part of |R f|, divided by the square of the distance from the point x.
     """
     if not contraction < 0.5:
         return None
@@ -231,8 +232,8 @@ def definite_beyond(M: Array, lost: Array) -> bool:
     """Returns True if all matrices of a stack are proved positive definite, even if their entries have errors of up to `lost`.
 
     Args:
-        M: V matrices, shape (V, k, k); only their symmetric parts are used.
-        lost: bound on the error of each entry, shape (V, k, k).
+        M: stack of V matrices, shape (V, k, k); only the symmetric parts of the matrices are used.
+        lost: bound on the error of each matrix entry, shape (V, k, k).
     """
     return _definite((M + M.swapaxes(-1, -2)) / 2, lost)[2]
 

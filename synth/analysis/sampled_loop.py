@@ -13,17 +13,17 @@ units of gamma, the matrices of the discrete plant are
 
     Ad = S22^-T,    Bd Bd' = S12 S22^-1,    Cd' Cd = -S22^-1 S21,
 
-if S22 is invertible for all times in (0, T]. If S22 is not invertible at some time, the gain within one period is at least
-gamma, before any force can respond to w.
+if the matrix S22 is invertible for all times in (0, T]. If S22 is not invertible at some time, the gain within one period is at
+least gamma, before any force can respond to w.
 
 The entries of S grow without bound as the period T grows. Therefore, Ad, Bd Bd' and Cd' Cd are first computed for a short time;
 this time is then doubled repeatedly. For two consecutive intervals 1 and 2, the matrices of the combined interval are
 
     Ad = Ad2 M Ad1,    Bd Bd' = Bd2 Bd2' + Ad2 M Bd1 Bd1' Ad2',    Cd' Cd = Cd1' Cd1 + Ad1' Cd2' Cd2 M Ad1,
 
-with M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The matrices of the combined interval exist if and only if both intervals have such
-matrices and all eigenvalues of Bd1 Bd1' Cd2' Cd2 are below 1. No digits are lost by cancellation. The code computes the
-difference Ad - I instead of Ad, because the difference is small if the sample rate is high.
+where M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The matrices of the combined interval exist if and only if both intervals have them and
+all eigenvalues of Bd1 Bd1' Cd2' Cd2 are below 1. Doubling the time in this way loses no digits by cancellation. The code
+computes the difference Ad - I instead of Ad, because the difference is small if the sample rate is high.
 """
 
 import math
@@ -130,7 +130,7 @@ def with_inputs(plant: Plant, acting: Array) -> tuple[Array, Array, Array]:
 
 
 def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> LiftedPlant | None:
-    """Returns the discrete plant over one part of the period, computed by repeatedly doubling a short time."""
+    """Returns the discrete plant over one part of the period; a short time is doubled repeatedly until it covers this part."""
     A, Bw, C = with_inputs(plant, acting)
     A, Bw, C, scale = in_own_units(A, Bw / gamma, C, len(plant.A))
     n = len(A)
@@ -202,9 +202,9 @@ class SampledLoop(CheckedFields):
 
         u = K p,    s+ = A_register p + B_register u_a,
 
-    where u_a is the force that acts at the end of the period. The measurement noise is a sequence e. The energy of e is the sum
-    of the squares of its values. The product of the matrix `noise` and the vector e is added to the computed forces u and the
-    next controller states s+.
+    where u_a denotes the force that acts at the end of the period. The measurement noise is a sequence e. The energy of e is
+    the sum of the squares of its values. The product of the matrix `noise` and the vector e is added to the computed forces u
+    and the next controller states s+.
 
     Attributes:
         plant: plant in continuous time with n states and m inputs.
@@ -266,7 +266,7 @@ class SampledLoop(CheckedFields):
                 `noise` e, u is the force just before the sample at which y is measured.
             law: matrix [D, C; B, A] of the law, shape (m + k, q + k); for k = 0, the gain itself.
             pieces: parts of the sample period with constant forces, in order of time.
-            noise: matrix from the noise to the measurements, shape (q, j); j may be 0.
+            noise: matrix from the noise signals to the measurements, shape (q, j); j may be 0.
         """
         (n, m), q = plant.B.shape, len(plant.Cy)
         k, previous = len(law) - m, m if np.any(plant.Dyu) else 0
@@ -284,7 +284,7 @@ class SampledLoop(CheckedFields):
 
     @property
     def largest_delay(self) -> int:
-        """Largest delay of a force [samples]."""
+        """Largest delay of any force [samples]."""
         return max(piece.delay_samples for piece in self.pieces)
 
     @property
@@ -411,7 +411,7 @@ class SampledDataProblem:
 
     @cached_property
     def rows(self) -> Array:
-        """Matrix C_y on all states of the discrete plant, shape (q, n + k m), with k = `stored_forces`."""
+        """Matrix C_y extended to all states of the discrete plant, shape (q, n + k m), with k = `stored_forces`."""
         (q, m), k = self.plant.Dyu.shape, self.stored_forces
         past = np.zeros((q, k * m))
         if np.any(self.plant.Dyu):
@@ -425,13 +425,15 @@ class SampledDataProblem:
 
     @cached_property
     def noise(self) -> Array:
-        """Matrix from a noise sequence of energy 1 to the measurements, shape (q, j), one column for each noisy measurement."""
+        """Matrix from a noise sequence of energy 1 to the measurements, shape (q, j), with one column for each noisy
+        measurement.
+        """
         if self.rms is None:
             return np.zeros((len(self.plant.Cy), 0))
         return np.diag(self.rms)[:, self.rms > 0] / math.sqrt(self.period)
 
     def of(self, kept: Sequence[int]) -> "SampledDataProblem":
-        """Returns this problem with only the measurements whose indices are in `kept`."""
+        """Returns the same problem with only those measurements whose indices are in `kept`."""
         rms = None if self.rms is None else self.rms[kept]
         return replace(self, plant=self.plant.rows(kept), rms=rms)
 

@@ -3,9 +3,9 @@
 The first method tests values of the gain, called levels. A level exceeds the gain if the discrete plant of this level
 (`sampled_loop.py`), with the controller, gives a stable closed loop with an l2 norm below 1. The bilinear transform maps the
 closed discrete loop to a continuous loop with the same gains. The eigenvalues of the Hamiltonian matrix of the continuous loop
-give the angles on the unit circle at which a gain is 1. The gain is evaluated at these angles and at angles between them. At
-the angle of the largest gain, the level is changed until this gain is 1. The resulting level is the L2 gain for a disturbance
-whose phase advances by the angle of the largest gain per sample.
+give the angles on the unit circle at which some gain is 1. The gain is evaluated at these angles and at angles between them. At
+the angle of the largest gain, the level is changed until the largest gain is 1. The resulting level is the L2 gain for a
+disturbance whose phase advances by the angle of the largest gain per sample.
 
 The second method gives a lower bound and does not use levels. The second method considers disturbances that are polynomials of
 low degree over each part of the period. From sample to sample, the phase of the polynomial disturbances advances by a fixed
@@ -62,7 +62,7 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
         loop: stable loop.
         angle: phase advance of the disturbance per sample [rad]; NaN for a disturbance that acts in one period only.
         parts: number of parts into which each hold interval of the period is divided.
-        degree: degree of the polynomials.
+        degree: degree of the polynomials in each part.
     """
     plant, alone = loop.plant, math.isnan(angle)
     n = len(plant.A)
@@ -89,12 +89,12 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
 
 
 def _reached(matrix: Array, start: Array, into: Array, level: float) -> Array:
-    """Returns [x; held inputs] at the samples for disturbances and noise, complex, shape (F, n + i, c + j).
+    """Returns the vectors [x; held inputs] at the samples that disturbances and noise cause, complex, shape (F, n + i, c + j).
 
     Args:
         matrix, start: matrices of the loop at F angles; see `SampledLoop.at_angles`.
         into: matrix from the disturbances within one period to x at the end of the period, shape (n, c).
-        level: level of the L2 gain, by which the noise is divided.
+        level: level of the L2 gain; the noise is divided by this level.
     """
     (F, known, columns), (n, c) = matrix.shape, into.shape
     driven = np.zeros((F, known, c + columns - known), dtype=complex)
@@ -158,7 +158,7 @@ AT_ONCE = 4096  # number of frequencies that are computed together; a larger num
 def sampled_norm(loop: SampledLoop, near: Positive = 1.0) -> SampledNorm:
     """Returns the L2 gain of a sampled-data loop from w to z, with a relative error of at most 1e-8.
 
-    If the loop has measurement noise, the noise counts as an additional disturbance.
+    If the loop contains measurement noise, this noise counts as an additional disturbance.
 
     Args:
         loop: sampled-data loop, stable or not.
@@ -244,7 +244,7 @@ class _Search:
         self.poles = np.log(poles[poles != 0].astype(complex))  # poles of the equivalent continuous loop [1/sample]
 
     def run(self, near: float) -> SampledNorm:
-        """Runs the search, starting at the level `near`."""
+        """Runs the search for the gain, starting at the level `near`."""
         level, below, there = self._first(near)
         _, angle = self._highest(there)
         for _ in range(ROUNDS):
@@ -281,9 +281,9 @@ class _Search:
         raise ArithmeticError("no bound was found on the gain of the sampled-data loop within one period")
 
     def _highest(self, there: _Level) -> tuple[float, float]:
-        """Returns the largest gain of the discrete loop of a level, and the angle of this gain [rad].
+        """Returns the largest gain of the discrete loop that belongs to a level, and the angle of this gain [rad].
 
-        The search uses a grid of angles that is dense near every pole, and then refines the highest points.
+        The search evaluates a grid of angles that is dense near every pole, and then refines the highest points of the gain.
         """
         turn, damping = np.abs(np.imag(self.poles)), np.abs(np.real(self.poles))
         about = (turn[:, None] + damping[:, None] * np.linspace(-3, 3, 13)).ravel()
@@ -310,7 +310,7 @@ class _Search:
     def _gain_at(self, angle: float, level: float, below: float) -> tuple[float, float, bool]:
         """Returns the level at which the gain of the discrete loop at an angle [rad] is 1, and a lower level.
 
-        The third returned value is True if no discrete plant exists for the lower level. The search is a secant iteration in
+        The third returned value is True if the lower level has no discrete plant. The search is a secant iteration in
         the logarithms of level and gain, between a level below the result and a level above the result.
         """
         above, last, first = np.inf, None, level

@@ -51,12 +51,12 @@ class Stability:
 
     @property
     def growth(self) -> Array:
-        """Real parts of the poles (discrete: |z| - 1), shape (n,); negative if the pole decays."""
+        """Real parts of the poles (for a discrete loop: |z| - 1), shape (n,); negative if the pole decays."""
         return np.real(self.poles) if self.dt is None else np.abs(self.poles) - 1
 
     @property
     def rates(self) -> Array:
-        """Magnitudes of the poles [rad/s] (discrete: |z - 1| / dt), shape (n,)."""
+        """Magnitudes of the poles [rad/s] (for a discrete loop: |z - 1| / dt), shape (n,)."""
         return np.abs(self.poles) if self.dt is None else np.abs(self.poles - 1) / self.dt
 
     @property
@@ -78,7 +78,7 @@ class Stability:
     def worst(self) -> complex:
         """Pole that decides the stability: the fastest-growing pole, or a pole on the stability limit if no pole grows.
 
-        For a loop without poles, the value is -inf, or z = 0 if the loop is discrete.
+        For a loop without poles, the attribute is -inf, or z = 0 if the loop is discrete.
         """
         deciding, growth = self.poles, self.growth
         if self.verdict == MARGINAL:
@@ -146,7 +146,7 @@ def sampled_growth(Phi: Array) -> float:
 
 
 def is_stable(A: Array, dt: float | None = None) -> bool:
-    """Returns True if every pole is clearly stable, despite rounding errors; see `stability`."""
+    """Returns True if every pole is stable, even if rounding errors are considered; see `stability`."""
     return stability(A, dt).stable
 
 
@@ -159,13 +159,13 @@ def balance(A: Array) -> tuple[Array, Array]:
 
 
 def rounding(A: Array) -> float:
-    """Returns the norm of E, the backward error of the eigenvalues of a balanced matrix of shape (n, n)."""
+    """Returns the norm of E, where E is the backward error of the eigenvalues of a balanced matrix of shape (n, n)."""
     return 10 * np.finfo(float).eps * float(np.linalg.norm(A)) if len(A) else 0.0
 
 
 def pole_text(pole: complex, dt: float | None = None) -> str:
-    """Formats a pole or a conjugate pair of poles as text, with four digits and the unit. A real pole is a rate of growth or
-    decay.
+    """Formats a pole or a conjugate pair of poles as text, with four digits and the unit. A real pole is described as a rate of
+    growth or decay.
 
     For a discrete loop, the text has enough digits to show that z is not on the unit circle.
     """
@@ -274,10 +274,11 @@ def _inverse_of_triangle(matrix: Array) -> Array:
 
 
 def beside_weights(plant: Plant, A: Array) -> Array:
-    """Returns the state matrix of a closed loop without the states of weighting filters, whose poles no controller can change.
+    """Returns the state matrix of a closed loop without the states of weighting filters; no controller can change the poles of
+    these filters.
 
     Args:
-        plant: plant without controller, n states.
+        plant: plant without a controller, with n states.
         A: state matrix of a loop whose first n states are the states of the plant, shape (n + k, n + k).
     """
     n = len(plant.A)
@@ -347,8 +348,8 @@ def static_feedback_obstructions(plant: Plant) -> list[str]:
 
     The plant must be stabilisable and detectable. A gain K changes the sum of the poles by tr(K C_y B), and multiplies the
     product of the poles by det(I - K C_y (-A)^-1 B). For a discrete plant, both relations hold for the poles of
-    `Plant.differences`, in which the pole z = 1 becomes 0. The sum does not include decaying poles that no gain can change,
-    such as the poles of a filter in a weight.
+    `Plant.differences`, in which the pole z = 1 becomes 0. The sum of the poles does not include decaying poles that no gain
+    can change, such as the poles of a weighting filter.
     """
     where, Cy = stability(plant.A, plant.dt), plant.Cy
     if where.stable:
@@ -377,7 +378,9 @@ def static_feedback_obstructions(plant: Plant) -> list[str]:
 
 
 def _fixed_poles(A: Array, B: Array, Cy: Array) -> list[float]:
-    """Returns the real parts of simple poles that no gain can change, because they are not controllable or not observable."""
+    """Returns the real parts of those simple poles that no gain can change, because they are not controllable or not
+    observable.
+    """
     balanced, scale = balance(A)
     inputs, outputs, size, fixed = B / scale[:, None], Cy * scale, np.linalg.norm(balanced, 2) or 1.0, list[float]()
     inputs = inputs / np.maximum(np.linalg.norm(inputs, axis=0), np.finfo(float).tiny) * size

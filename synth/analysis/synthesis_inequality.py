@@ -1,34 +1,36 @@
-"""Gahinet-Apkarian inequality of a plant, from which the controller is eliminated, in exact integers and in floats.
+"""Inequality of a plant by Gahinet and Apkarian, from which the controller is eliminated, in exact integers and in floats.
 
 For state feedback, LMI (21) has a solution Y if and only if N' M N < 0, where M is the left side of (21) at Y = 0. Here N is a
 basis of all q with [B; D]' q = 0 (the elimination lemma; Gahinet, Apkarian 1994). For output feedback from y = C_y x + Dyw w,
 an unknown matrix S must also satisfy the corresponding inequality for the transposed plant.
 
 **Directions without cost.** If an input v does not appear in z (D v = 0), X can grow without bound along B v. X can also grow
-along A B v, A^2 B v and so on, as long as these directions are not observable in z. The columns of F span all directions
-without cost (`_closure`). A dual solution cannot give weight to directions without cost. Therefore, N is also orthogonal to [F;
-0] and [A F; C F], and X appears only as J X J', where J is a basis of all rows with J F = 0. For the transposed plant (B =
-C_y', D = Dyw'), the rows of F' give the combinations of states that can be computed from y and its derivatives, whatever w is.
+along A B v, A^2 B v and so on, as long as the directions found in this way are not observable in z. The columns of F span all
+directions without cost (`_closure`). A dual solution cannot give weight to directions without cost. Therefore, N is also
+orthogonal to [F; 0] and [A F; C F], and X appears only as J X J', where J is a basis of all rows with J F = 0. For the
+transposed plant (B = C_y', D = Dyw'), the rows of F' give the combinations of states that can be computed from y and its
+derivatives, whatever w is.
 
 X can also grow without bound along stable states that are unobservable in z.
 
 **Discrete plants.** The inequality of a discrete plant is Q X Q' - U X U' + eta b b' - c c' < 0. Since 2 (Q X Q' - U X U') =
 He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. In discrete plants, an input v
 with D v = 0 does not cause directions without cost, because its zeros at infinity lie outside the unit circle. Instead, F
-contains the states that inputs can bring to zero within some samples while z is zero.
+contains the states that the inputs can bring to zero within a finite number of samples while z remains zero.
 
 All ranks are determined in integers from the exact entries of the plant, without tolerances. The result therefore depends
 neither on the magnitude of a direction nor on the units of states, inputs, time, w and z.
 
 **Stable zeros.** If U is square and Q - s U loses rank at a stable zero s, X can also grow without bound along the direction of
 this zero. Dual solutions then belong to the left deflating subspace of the zeros that are not stable. With a basis L of this
-subspace,
+left deflating subspace,
 
     L Q = Lambda L U,    W = L' W' L,    He(U' W Q) = (L U)' He(W' Lambda) (L U),
 
 and W' solves the inequality with I, Lambda, L b, L c and L U X U' L' instead of U, Q, b, c and X. Floats cannot represent L and
 Lambda exactly. L and Lambda are therefore approximated, with proved error bounds (`AntistablePart`), like the zeros in
-`interpolation.py`. Zeros that lie on the axis up to rounding are ignored, which makes the bound weaker, but not invalid.
+`interpolation.py`. Zeros that lie on the imaginary axis up to rounding are ignored, which makes the bound weaker, but not
+invalid.
 """
 
 import math
@@ -62,7 +64,7 @@ SAFE = 4.0  # safety factor by which the estimated rounding error of a sum of pr
 
 @dataclass(frozen=True, eq=False)
 class AntistablePart:
-    """Inequality He(Lambda X') + eta b b' - c c' < 0 that belongs to the zeros in the open right half plane.
+    """Inequality He(Lambda X') + eta b b' - c c' < 0, the part that belongs to the zeros in the open right half plane.
 
     Attributes:
         P: product L U, whose columns are divided by `columns`, shape (a', a).
@@ -178,7 +180,9 @@ def _closure(states: Array, inputs: Array) -> Array:
 
 
 def _zeroed_states(states: Array, inputs: Array) -> Array:
-    """Returns the states that inputs can bring to zero within some samples while z is zero, as columns, shape (n, f)."""
+    """Returns the states that the inputs can bring to zero within a finite number of samples while z remains zero, as columns,
+    shape (n, f).
+    """
     n = states.shape[1]
     F = inputs[:n, :0]
     while True:
@@ -220,7 +224,7 @@ def _hidden_states(plant: Plant, states: Array) -> Array:
 def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
     """Returns the part of the inequality that belongs to the unstable zeros, if this part can be separated.
 
-    The result is None if all zeros are unstable, if U is not square, or if no enclosure is found.
+    The result is None if all zeros are unstable, if U is not square, or if L and Lambda cannot be enclosed.
     """
     try:
         U, Q, b, c = side.floats()
@@ -284,7 +288,7 @@ def _enclosed_subspace(U: Array, Q: Array, W: Array, N: Array) -> tuple[Array, A
 
 
 def _equation(U: Array, Q: Array, W: Array, N: Array, basis: Array) -> tuple[Array, Array]:
-    """Returns the derivative of the equations Q' W - U' W N = 0 and basis' W = I, stacked by columns, and their residual."""
+    """Returns the derivative and the residual of the equations Q' W - U' W N = 0 and basis' W = I, stacked by columns."""
     k = len(N)
     eye = np.eye(k)
     derivative = np.block(

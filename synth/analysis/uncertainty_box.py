@@ -69,12 +69,12 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class ScaledGain:
-    """Closed loops with the gains S_u K S_y, for different factors of the measurements and forces.
+    """Closed loops with the gains S_u K S_y, where the factors of the measurements and forces vary.
 
     Attributes:
         plant: plant in continuous time with n states, m inputs, d outputs z, r disturbances w and q measurements.
         K: nominal gain, shape (m, q).
-        before: gain K0 that is subtracted from every gain, shape (m, q); see `plant.discrete.mapped`.
+        before: gain K0 that is subtracted from every gain, shape (m, q); see `mapped` in `plant/discrete.py`.
         readings, forces: number of columns of K that belong to measurements, and number of rows that belong to forces. The
             columns of the measurements and the rows of the forces come first. The remaining columns and rows belong to the
             states of the control law.
@@ -163,11 +163,12 @@ def lmi(loops: Array, X: Array, eta: float, identity: float = -1.0) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class BoxProof:
-    """Proof of a bound for a box of gain errors: the box is split into parts, and each part has an X that satisfies LMI (20).
+    """Proof of a bound for a box of gain errors: the box is split into parts, and each part has a matrix X that satisfies LMI
+    (20).
 
     Attributes:
         eta: gamma^-2.
-        parts: smaller boxes that together fill the whole box, each with its X of shape (n, n).
+        parts: smaller boxes that together fill the whole box, each with a matrix X of shape (n, n).
     """
 
     kind: ClassVar[str] = "common X, exact"
@@ -177,7 +178,7 @@ class BoxProof:
 
     @property
     def bound(self) -> float:
-        """Proved bound gamma = eta^-1/2, rounded up."""
+        """Proved bound gamma = eta^-1/2 on the norm, rounded up."""
         return bound_of(self.eta)
 
     def holds(self, gain: ScaledGain, box: Box) -> bool:

@@ -46,7 +46,7 @@ CHANGE = Field[float]("change", lambda ratio: ratio - 1, "+.0f", 100, unit="%")
 
 @dataclass(frozen=True, eq=False)
 class Designs:
-    """Designed or checked controllers of a vehicle file, and limits for all controllers.
+    """Designed or checked controllers of a vehicle file, and limits that hold for all controllers.
 
     Attributes:
         vehicle: vehicle of the controllers.
@@ -57,7 +57,7 @@ class Designs:
         passive: expected ride (weighted acceleration) of the passive suspension [m/s2]; None if no expected ride is defined.
         expected_rides: expected ride [m/s2] of a vehicle with persons, by point and by controller; points where a person sits
             come first.
-        without: norm without control; infinite if the vehicle is not damped.
+        without: norm of the vehicle without control; infinite if the vehicle is not damped.
     """
 
     vehicle: Vehicle
@@ -211,7 +211,7 @@ def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
 
 
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
-    """Returns how far each state-feedback gain may change if gamma increases by at most FLAT.
+    """Returns how far each state-feedback gain can be changed without an increase of gamma by more than FLAT.
 
     If the table contains a state-feedback controller, the gain of this controller is used; otherwise a state feedback is
     designed. The gain is used even if the central path of this design ended early. The result is empty for a vehicle with
@@ -274,7 +274,7 @@ RECORD = Record[Designs](
 
 
 def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Path | None]) -> list[str]:
-    """Returns the lines that are printed: a short answer, or the full answer with `-v`."""
+    """Returns the lines of text that the command prints: a short answer, or the full answer with `-v`."""
     vehicle, full = designs.vehicle, options.verbose
     files = written_lines(outputs)
     if outputs["saved"]:
@@ -294,7 +294,7 @@ def document(designs: Designs, options: Namespace, in_table: bool = False) -> Do
     """Returns the results of the command as a document.
 
     Args:
-        designs: designed or checked controllers with their results.
+        designs: designed or checked controllers, with their results.
         options: options from the command's parser.
         in_table: True for a table of loops instead of a document about each controller.
     """
@@ -382,7 +382,7 @@ def _at_least(share: float) -> str:
 
 
 def verdict(rows: Sequence[Row]) -> Statement:
-    """Returns the verdict: controllers with claims that fail, and controllers whose sampled-data loop is unstable."""
+    """Returns the verdict on the controllers: which have claims that fail, and which have an unstable sampled-data loop."""
     wrong = [f"{row.name} {'is not designed' if row.controller is None else 'FAILS'}" for row in rows if row.failures]
     text = f"every claim holds for {len(rows)} controller{'s' * (len(rows) != 1)}"
     text = f"not every claim holds: {', '.join(wrong)}" if wrong else text

@@ -42,16 +42,16 @@ def save(
     controllers: Sequence[Controller],
     sampled_bounds: Mapping[str, SampledBound | None] | None = None,
 ) -> None:
-    """Writes a vehicle file that contains each designed law as controller NAME_designed. All other commands can read the
-    written file.
+    """Writes a vehicle file in which each designed law is a controller with the name NAME_designed. All other commands can read
+    the written file.
 
-    Controllers with a preview are omitted if there are also controllers without a preview.
+    Controllers with a preview are not saved if there are also controllers without a preview.
 
     Args:
         path: path of the vehicle file to be written.
         vehicle: vehicle of the controllers.
         controllers: controllers, of which only the designed controllers are written.
-        sampled_bounds: lower bounds of sampled-data loops, by name of the controller.
+        sampled_bounds: lower bounds for sampled-data loops, by name of the controller.
 
     Raises:
         InputError: there is no designed controller, a name is already used, all controllers have a preview, or the file cannot

@@ -78,7 +78,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
 
 
 def others_of(vehicle: Vehicle) -> list[str]:
-    """Returns the names of the linear controllers that are shown together with a front.
+    """Returns the names of the linear controllers that are shown together with a trade-off front.
 
     Controllers that are designed for goals are omitted, because the design of each one takes seconds.
     """
@@ -106,7 +106,7 @@ def usual(vehicle: Vehicle) -> str:
 
 
 def _numbers(trade_off: Front, given: Sequence[int] | None) -> list[int]:
-    """Returns the numbers of those points on the front that are saved."""
+    """Returns the numbers of those points on the trade-off front that are saved."""
     for i in given or ():
         if i > len(trade_off.points):
             raise InputError(

@@ -3,7 +3,7 @@
     minimise   c' p - sum_b log det(F0_b + sum_i p_i F_bi)
 
 Source: Boyd, Vandenberghe, Convex Optimization, sections 9.6 and 11.6. LAPACK is called directly, because for small matrices
-the checks in the usual wrappers take longer than LAPACK itself.
+the checks in the usual Python wrappers take longer than LAPACK itself.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -119,7 +119,9 @@ def _upper(sizes: tuple[int, ...]) -> tuple[Array, Array, Array]:
 
 
 class Logarithm(NamedTuple):
-    """Term weight * log(p_N) of a barrier: weight, slope 1 / p_N, and factor on the last diagonal entry of R^-1."""
+    """Term weight * log(p_N) of a barrier, described by its weight, its slope 1 / p_N, and a factor on the last diagonal entry
+    of R^-1.
+    """
 
     weight: float
     slope: float
@@ -162,7 +164,9 @@ class FactoredDerivatives(ABC):
         return rates if self.logarithm is None else np.append(rates, self.logarithm.slope * step[-1])
 
     def lowest(self, slope: float, step: Array) -> float:
-        """Returns the t that minimises `slope` * t minus sum log det (minus the logarithm of the last unknown, if present)."""
+        """Returns the t that minimises `slope` * t minus the sum of log det (and minus the logarithm of the last unknown, if
+        present).
+        """
         rates = self.rates(step)
         return _lowest(slope, rates, 1.0 if self.logarithm is None else np.append(np.ones(len(rates) - 1), self.logarithm.weight))
 
@@ -175,7 +179,7 @@ class FactoredDerivatives(ABC):
 def _triangular(R: Array, x: Array, transposed: bool) -> Array:
     """Returns R^-1 x or R^-T x for an upper triangular matrix R.
 
-    If R is in C order, LAPACK treats it as a transposed lower triangle.
+    If R is in C order, LAPACK uses its transpose, a lower triangular matrix.
     """
     if R.flags.f_contiguous:
         return lapack.dtrtrs(R, x, trans=int(transposed))[0]
@@ -260,8 +264,8 @@ def newton(
         here: derivatives of the barrier at the starting point, if they are known.
 
     Returns:
-        The minimiser, its Newton decrement, and the derivatives at the minimiser. Callers must check the decrement, which is
-        infinite if rounding prevents its computation.
+        The point of the minimum, its Newton decrement, and the derivatives at this point. Callers must check the Newton
+        decrement, which is infinite if rounding prevents its computation.
     """
     here = here or barrier.at(p)
     assert here is not None, "the starting point is feasible"
@@ -289,7 +293,9 @@ def newton(
 
 
 def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
-    """Returns the t > 0 that minimises slope * t - sum(weights * log(1 + t * rates)), by Newton's method within an interval."""
+    """Returns the t > 0 that minimises slope * t - sum(weights * log(1 + t * rates)); the method is Newton's, within an
+    interval.
+    """
     high = 1 / -rates.min() if rates.min() < 0 else np.inf
     low, t = 0.0, min(1.0, 0.5 * high)
     for _ in range(30):
@@ -311,7 +317,9 @@ def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
 
 
 def boundary(here: FactoredDerivatives, step: Array) -> float:
-    """Returns the largest t for which p + t step is feasible. At the largest t, a block of the barrier becomes singular."""
+    """Returns the largest t for which the point p + t step is feasible. At the largest t, a block of the barrier becomes
+    singular.
+    """
     smallest = float(here.rates(step).min())
     return -1 / smallest if smallest < 0 else np.inf
 
@@ -339,7 +347,7 @@ def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close:
             above `enough`.
 
     Returns:
-        The last point on the path.
+        The last point of the path.
 
     Raises:
         LinAlgError: the starting point is infeasible because of rounding.

@@ -9,12 +9,13 @@ solver. The design is therefore defined as the limit, for mu -> 0, of the unique
 The limit depends neither on a solver nor on state coordinates, input units or the time unit, because such changes only add
 constants to the logarithms. The gains published in the paper are equal to this limit.
 
-The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11), with a predictor step along its
-tangent in mu. Two changes of coordinates keep all numbers near 1. In the state coordinates T = [Q R], equation (12) becomes X =
-diag(X_Q, X_R) and Y = [0 Y_R]. State feedback is the case of an empty Q and R = I. At each point of the path, the coordinates
-are changed again so that X = I and Y = 0. The current gain then becomes part of the plant.
+The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11); each step starts with a predictor
+along the tangent of the path in mu. Two changes of coordinates keep all numbers near 1. In the state coordinates T = [Q R],
+equation (12) becomes X = diag(X_Q, X_R) and Y = [0 Y_R]. State feedback is the case of an empty Q and R = I. At each point of
+the path, the coordinates are changed again so that X = I and Y = 0. The gain at the current point then becomes part of the
+plant.
 
-For a discrete plant, log det of the larger matrix in `certificate.py` replaces the three logarithms, because this matrix
+For a discrete plant, log det of the larger matrix in `certificate.py` replaces the three logarithms, because the larger matrix
 contains all constraints. As the sample period decreases, the path of the discrete plant approaches the path of the continuous
 plant.
 """
@@ -76,7 +77,7 @@ class CentralPoint:
         X: matrix X of the form (12), shape (n, n).
         K: gain Y_R X_R^-1 of (13), shape (m, q). The gain K acts on the q coordinates that R spans.
         eta: value gamma^-2 of the point. The optimal eta is larger than the eta of this point by at most (2 n + d) mu.
-        mu: path parameter mu of this point, divided by eta.
+        mu: path parameter mu of the point, divided by eta.
         proof: matrix that proves the bound if `X` itself does not prove it because of states that are unobservable in z;
             otherwise None.
     """
@@ -100,8 +101,8 @@ class CentralPoint:
         Args:
             states: present unit of each state, expressed in the new unit, shape (n,).
             inputs: present unit of each input, expressed in the new unit, shape (m,).
-            measured: present unit of each of the q inputs of K, expressed in the new unit, shape (q,). The argument can also be
-                a matrix S of shape (q, q), if the new inputs of K are S times the present inputs.
+            measured: present unit of each of the q inputs of K, expressed in the new unit, shape (q,). The argument `measured`
+                can also be a matrix S of shape (q, q), if the new inputs of K are S times the present inputs.
         """
         square = np.outer(states, states)
         proof = None if self.proof is None else square * self.proof
@@ -174,7 +175,7 @@ def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) ->
 
 
 def _border(step: float) -> str:
-    """Returns the name of the stability boundary: imaginary axis or unit circle."""
+    """Returns the name of the stability boundary: the imaginary axis or the unit circle."""
     return "unit circle" if step else "imaginary axis"
 
 
@@ -286,12 +287,14 @@ class PathPoint:
         """Scales a pair (X, Y) with He(A X + B Y) < 0 so that it satisfies (24).
 
         Returns:
-            The scaled X and Y, and the largest eta that (24) allows for them.
+            The scaled X and Y, and the largest eta that (24) allows for these matrices.
         """
         plant, n, k = self.plant, self.basis.n, len(self.basis.system)
 
         def inner() -> Array:
-            """Returns the matrix of (24). For a discrete plant, the additional rows are eliminated by a Schur complement."""
+            """Returns the matrix of (24). For a discrete plant, the additional rows of the matrix are eliminated by a Schur
+            complement.
+            """
             F = bounded_real_matrix(plant, X, Y, 0.0, self.step)
             return F[:k, :k] - F[:k, k:] @ np.linalg.solve(F[k:, k:], F[k:, :k]) if self.step else F
 
@@ -308,7 +311,7 @@ class PathPoint:
         return X, Y, 1 / linalg.eigh(disturbance @ disturbance.T, -F, eigvals_only=True)[-1]
 
     def follow(self, mu_end: float) -> Iterator[CentralPoint]:
-        """Follows the path until mu = mu_end eta, and yields the points at `RESTS`.
+        """Follows the path until mu / eta reaches `mu_end`, and yields the points at which mu / eta has a value in `RESTS`.
 
         At the points in `RESTS`, mu / eta is fixed instead of mu. To fix mu / eta, log(eta) eta / mu replaces eta / mu in the
         objective. The points are therefore independent of units and of the first point of the path. Some of these points are
@@ -381,8 +384,8 @@ class PathPoint:
         return Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
 
     def _start_barrier(self) -> Derivatives:
-        """Returns the barrier for the search for a feasible point. The last unknown of this barrier is s in He(A X + B Y) < s
-        I.
+        """Returns the barrier for the search that finds a feasible point. The last unknown of this barrier is s in He(A X + B
+        Y) < s I.
         """
         basis, n, m = self.basis, self.basis.n, self.basis.m
         if basis.size > DENSE and not self.step:
@@ -427,7 +430,7 @@ class PathPoint:
         self.basis = Basis(system, n, m, a, self.step)
 
     def _gain(self, X: Array, Y: Array) -> Array:
-        """Returns the gain at the current point, expressed in the initial coordinates:
+        """Returns the gain at the current point, expressed in the coordinates in which the path started:
 
         Y_R X_R^-1 plus the gain that the plant has absorbed so far.
         """
@@ -436,7 +439,7 @@ class PathPoint:
 
 
 def next_rest(mu: float, mu_end: float) -> float:
-    """Returns the next value of mu / eta on the path: the next value in `RESTS`, or a value on the way to mu_end.
+    """Returns the next value of mu / eta on the path, which is the next value in `RESTS` or a value on the way to mu_end.
 
     The values in `RESTS` are the same for every plant.
     """

@@ -118,8 +118,8 @@ def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], b
 def _for_state_feedback(plant: Plant, one: SynthesisInequality, path: Sequence[CentralPoint]) -> LowerBound:
     """Returns the lower bound for state feedback.
 
-    The bound comes from the dual of (22). If the plant's `SynthesisInequality` has fewer coordinates than (22), or if (22) has
-    no path, the bound comes from the central path of this inequality.
+    The bound for state feedback comes from the dual problem of (22). If the plant's `SynthesisInequality` has fewer coordinates
+    than (22), or if (22) has no path, the bound comes from the central path of this inequality.
     """
     bound = (
         _along_joint_path(plant, None, one, None)
@@ -141,7 +141,8 @@ def _along_joint_path(
 
 
 def bound_beyond_control(plant: Plant) -> LowerBound:
-    """Returns the lower bound at the invariant point; 0 if the control can change every direction of z at every frequency.
+    """Returns the lower bound that the invariant point gives; 0 if the control can change every direction of z at every
+    frequency.
 
     For a discrete plant, the frequency is found with the bilinear image of the plant, but the bound is computed for the plant
     itself.
@@ -194,9 +195,10 @@ def _sharpest(
     other: SynthesisInequality | None,
     points: Sequence[tuple[DualCertificate, DualCertificate | None, float]],
 ) -> LowerBound:
-    """Returns the largest lower bound that points of a path prove. The search goes from the last point back to earlier points.
+    """Returns the largest lower bound that points of a path prove. The search starts at the last point of the path and goes
+    back to earlier points.
 
-    The search ends at the first point whose proof loses no digits to rounding.
+    The search ends at the first point for which the proof loses no digits to rounding.
     """
     best = LowerBound(0.0)
     for state, observer, gamma in reversed(points):
@@ -209,7 +211,7 @@ def _sharpest(
 def _joint_path(
     plant: Plant, dual: Plant | None, one: SynthesisInequality, other: SynthesisInequality | None
 ) -> Iterator[tuple[DualCertificate, DualCertificate | None, float]]:
-    """Yields dual certificates and gamma at points that approach the optimum, until the path cannot be followed further."""
+    """Yields dual certificates and gamma at points that approach the optimum, until the path cannot be followed any further."""
     if sum(len(side.J) * (len(side.J) + 1) // 2 + 1 for side in (one, other) if side is not None) > MOST:
         return
     first, second = _ProjectedLmi(one, plant), None
@@ -257,8 +259,9 @@ def _joint_path(
 def _feasible(plant: Plant) -> Array:
     """Returns an X that satisfies the plant's `SynthesisInequality` for some eta, shape (n, n).
 
-    X is the inverse of the solution of a Riccati equation in the units of `own_units`. The output z in the Riccati equation
-    also contains the states and the inputs. An X that is feasible with the larger z is also feasible with the z of the plant.
+    X is the inverse of a matrix that solves a Riccati equation in the units of `own_units`. The output z in the Riccati
+    equation also contains the states and the inputs. An X that is feasible with the larger z is also feasible with the z of the
+    plant.
     """
     units = own_units(plant)
     own = units.into(plant)
@@ -280,7 +283,9 @@ def _feasible(plant: Plant) -> Array:
 
 
 def _feasible_part(Q: Array, c: Array) -> Array:
-    """Returns an X > 0 that satisfies an `AntistablePart`'s inequality for some eta, from Q X + X Q' = c c' / 2 - epsilon I."""
+    """Returns an X > 0 that satisfies the inequality of an `AntistablePart` for some eta, computed from Q X + X Q' = c c' / 2 -
+    epsilon I.
+    """
     if not len(Q):
         return Q
     most, margin = (linalg.solve_continuous_lyapunov(Q, right) for right in (c @ c.T, np.eye(len(Q))))
@@ -323,7 +328,7 @@ class _ProjectedLmi:
         return -half - half.swapaxes(1, 2)
 
     def units(self) -> Array:
-        """Returns the coefficient matrices of the unknowns in X, shape (N, a, a)."""
+        """Returns the coefficient matrices of those unknowns that are entries of X, shape (N, a, a)."""
         index, E = np.arange(len(self.rows)), np.zeros((len(self.rows), *self.T.shape))
         E[index, self.rows, self.columns] = E[index, self.columns, self.rows] = 1
         return E
@@ -339,7 +344,7 @@ class _ProjectedLmi:
 
 
 def _coupling_matrix(first: _ProjectedLmi, second: _ProjectedLmi, between: Array) -> Array:
-    """Returns the matrix J2 J1' in the current coordinates of both inequalities."""
+    """Returns the matrix J2 J1' in the current coordinates of the two inequalities."""
     return np.linalg.solve(second.T, np.linalg.solve(first.T, between.T).T)
 
 

@@ -1,4 +1,4 @@
-"""States that a gain F can make unobservable in z: if the loop with u = F x starts in such a state, (C + D F) x stays 0."""
+"""States that a gain F can make unobservable in z: if the loop with u = F x starts in such a state, z = (C + D F) x remains 0."""
 
 from collections.abc import Iterator
 

@@ -25,7 +25,7 @@ def find_sampled_bound(problem: SampledDataProblem, near: float) -> SampledBound
     """Returns the highest level that is proved to be a lower bound on the L2 gain; None if no level is proved.
 
     Args:
-        problem: sampled-data design problem, whose plant has held and delayed forces.
+        problem: sampled-data design problem, whose plant includes held and delayed forces.
         near: level at which the search starts, such as the lower bound of the ideal loop.
     """
     below, above, level, best = 0.0, math.inf, near, None

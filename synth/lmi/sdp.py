@@ -1,6 +1,6 @@
 """Solution of the LMI problems by the solver Clarabel through cvxpy.
 
-The solver serves only as an independent check of the bounds. The designs are computed with the central path
+The solver Clarabel serves only as an independent check of the bounds. The designs are computed with the central path
 (`central_path.py`), which does not need a solver.
 """
 
@@ -17,7 +17,7 @@ from synth.plant.numerics import DesignError, NoSolutionError
 
 @dataclass(frozen=True, eq=False)
 class LmiSolution:
-    """Solution that the solver returned: one of the optimal points, up to the tolerance of the solver.
+    """Solution that the solver returned; it is one of the optimal points, up to the tolerance of the solver.
 
     Attributes:
         X: matrix X of LMI (24), shape (n, n).
@@ -50,7 +50,7 @@ def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> Lm
         gain: fixed gain K, shape (m, q). If K is given, Y_R = K X_R, and the optimum is the best bound of (25) for the gain K.
 
     Raises:
-        NoSolutionError: the solver reports that there is no solution, or eta is zero within the tolerance.
+        NoSolutionError: the solver reports that the problem has no solution, or eta is zero within the tolerance.
         DesignError: the solver failed.
     """
     import cvxpy as cp  # this import takes 0.9 s, and only this function needs it
@@ -87,13 +87,13 @@ def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> Lm
 
 
 def solve_sdp(problem: Any) -> None:
-    """Solves a `cvxpy.Problem` with Clarabel. The caller must check the values of the unknowns.
+    """Solves a `cvxpy.Problem` with Clarabel. The caller must check the values of the optimisation variables.
 
     Args:
         problem: problem to solve, with an objective.
 
     Raises:
-        NoSolutionError: the solver reports that there is no solution.
+        NoSolutionError: the solver reports that the problem has no solution.
         DesignError: the solver failed.
     """
     import cvxpy as cp

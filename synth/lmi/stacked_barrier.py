@@ -39,7 +39,7 @@ class StackedBarrier:
         self.upper = self.rows * n + self.columns
 
     def matrix(self, p: Array) -> Array:
-        """Returns X from the vector of unknowns p, shape (n, n)."""
+        """Returns the matrix X, given the vector of unknowns p, shape (n, n)."""
         n = self.shape[2]
         X = np.zeros((n, n))
         X[self.rows, self.columns] = X[self.columns, self.rows] = p[:-1]
@@ -107,8 +107,8 @@ class StackedLocal(FactoredDerivatives):
 
     Attributes:
         barrier: barrier to which the derivatives belong.
-        inverse: inverse Cholesky factors of S for every loop, shape (V, n + d, n + d).
-        alone: inverse Cholesky factor of X, shape (n, n).
+        inverse: inverse of the Cholesky factor of S for every loop, shape (V, n + d, n + d).
+        alone: inverse of the Cholesky factor of X, shape (n, n).
     """
 
     barrier: StackedBarrier

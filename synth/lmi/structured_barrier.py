@@ -87,7 +87,7 @@ def path_barrier(plant: Plant, free: int) -> "StructuredBarrier":
 
 
 def start_barrier(plant: Plant, free: int, largest: float) -> "StructuredBarrier":
-    """Returns the barrier for the search for a feasible point.
+    """Returns the barrier for the search that finds a feasible point.
 
     The argument `largest` is the bound on |Y|, and `free` is the number of columns of Q.
     """
@@ -109,8 +109,8 @@ class _Run:
         row: index of the row.
         others: column indices of the unknowns in this row.
         begin, end: range of indices of the row's unknowns in the vector of unknowns.
-        upper, lower: positions of the unknowns of X from `begin` on, and of their mirror images. The positions refer to a flat
-            square matrix with the rows and columns `row` to n.
+        upper, lower: positions of the unknowns of X, starting with the index `begin`, and of their mirror images. The positions
+            refer to a flat square matrix with the rows and columns `row` to n.
     """
 
     row: int
@@ -123,7 +123,7 @@ class _Run:
 
 @functools.cache
 def _runs(n: int, m: int, free: int) -> list[_Run]:
-    """Returns the unknowns in each row of [X; Y], ordered by row."""
+    """Returns the unknowns in each row of the matrix [X; Y], ordered by row."""
     rows, columns = places(n, m, free)
     of_x = int(np.sum(rows < n))
     first = np.flatnonzero(np.diff(rows, prepend=-1)).tolist()
@@ -140,7 +140,7 @@ class StructuredBarrier:
     """Barrier of constraints on the unknowns of (22) or (25).
 
     Args:
-        constraints: constraints on [X; Y] that the barrier represents, all with the same n and m.
+        constraints: constraints on the matrix [X; Y] that the barrier represents, all with the same n and m.
         n, m, free: numbers of states, of inputs, and of columns of Q.
     """
 
@@ -197,7 +197,7 @@ class StructuredBarrier:
         return StructuredLocal(trace, scale, triangle, self, bases)
 
     def matrix(self, p: Array) -> Array:
-        """Returns [X; Y] from the vector of unknowns p, shape (n + m, n)."""
+        """Returns the matrix [X; Y], given the vector of unknowns p, shape (n + m, n)."""
         unknown = np.zeros(self.shape)
         unknown[self.rows, self.columns] = p[:-1]
         unknown[self.columns[self.twice], self.rows[self.twice]] = p[:-1][self.twice]
@@ -234,8 +234,8 @@ class StructuredBarrier:
         The symmetric matrix [X, Y'; Y, 0] gives the same S, if R is padded with zeros. The second derivative of log det S along
         e_p e_q' + e_q e_p' and e_s e_t' + e_t e_s' is the sum of four terms of the form in the module docstring. The sum is an
         entry of a product of thin matrices, 2 (U V' + V U')[s, t], where U depends only on q and V only on p. Every constraint
-        adds four columns to U and to V. The constraints X > 0 and X < I each add one column, because the four terms of the sum
-        are equal.
+        adds four columns each to U and V. The constraints X > 0 and X < I each add one column, because the four terms of the
+        sum are equal.
 
         Args:
             light: parts P of S^-1 that belong to the larger eigenvalues of S, one for each constraint.
@@ -290,7 +290,7 @@ class StructuredLocal(FactoredDerivatives):
 
     Attributes:
         barrier: barrier to which the derivatives belong.
-        bases: matrix U with S^-1 = U U' for every constraint, shapes (k, k).
+        bases: matrix U with S^-1 = U U' for each constraint, shapes (k, k).
     """
 
     barrier: StructuredBarrier

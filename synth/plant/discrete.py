@@ -3,8 +3,8 @@
 Tustin's map s = (2 / dt) (z - 1) / (z + 1) maps the unit circle to the imaginary axis, and the inside of this circle to the
 left half plane. A discrete loop and the continuous image of this loop therefore have the same stability and norm. A matrix X
 that satisfies the bounded-real LMI (20) for the loop also satisfies it for the image, up to a factor dt. The measurements of
-the image contain inputs and disturbances, y = C_y x + Dyw w + Dyu u. The gain stays the same, but with the image, the gain
-closes an algebraic loop.
+the image contain inputs and disturbances: y = C_y x + Dyw w + Dyu u. The gain stays the same, but the loop of the gain and the
+    image contains an algebraic loop.
 
 A pole at z = -1 has no finite image. If the plant has a pole at z = -1, a gain K0 that moves this pole is applied first. The
 plant with the gain K0 is then mapped. A gain K of the plant corresponds to the gain K - K0 of the image.
@@ -81,12 +81,16 @@ def from_differences(loop: Plant, step: float) -> Plant:
 
 
 def true_frequency(omega: float, dt: float | None) -> float:
-    """Converts a frequency omega [rad/s] of the image, which may be infinite, to the frequency of the discrete plant."""
+    """Converts a frequency omega [rad/s] of the continuous image, which may be infinite, to the frequency of the discrete
+    plant.
+    """
     return omega if dt is None else float(2 / dt * np.arctan(omega * dt / 2))
 
 
 def mapped_frequency(omega: float, dt: float | None) -> float:
-    """Converts a frequency omega [rad/s] of the discrete plant to the frequency of its image; the inverse of `true_frequency`."""
+    """Converts a frequency omega [rad/s] of the discrete plant to the frequency of its continuous image; the inverse of
+    `true_frequency`.
+    """
     if dt is None:
         return omega
     return float(2 / dt * np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf
@@ -100,11 +104,11 @@ def _tustin(A: Array, B: Array, C: Array, D: Array, step: float) -> tuple[Array,
 
 
 def _away_from_minus_one(plant: Plant) -> Array:
-    """Returns a gain K0 with which no pole is near z = -1, shape (m, q). K0 is zero if the plant has no pole near z = -1.
+    """Returns a gain K0 for which the loop has no pole near z = -1, shape (m, q). K0 is zero if the plant has no pole near z = -1.
 
     K0 does not depend on the units of states, inputs or measurements. There is one exception: if a pole is almost exactly at
     the limit LEAST_SINGULAR_VALUE, the result depends on the powers of two that balancing chooses. If the plant is given in
-    coordinates that mix the states, K0 may differ.
+    coordinates that mix its states, K0 may differ.
     """
 
     def lost(K: Array) -> float:

@@ -143,7 +143,7 @@ class Plant:
         return cls(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw, dt=dt)
 
     def unchecked(self, **parts: Any) -> "Plant":
-        """Returns the plant with some attributes replaced.
+        """Returns the plant with new values for some attributes.
 
         The new values must fit the other attributes; they are neither checked nor copied.
         """
@@ -191,7 +191,7 @@ class Plant:
         """Returns (I - K Dyu)^-1 K, the gain on C_y x + Dyw w with the same effect as K on the measurements, shape (m, q).
 
         Raises:
-            InputError: the algebraic loop has no solution.
+            InputError: the algebraic loop through the measurements has no solution.
         """
         return static_law(K).fed_back(self.Dyu).D
 
@@ -226,13 +226,13 @@ class Plant:
 
     @property
     def plant(self) -> "Plant":
-        """Plant without measurements. Deprecated attribute, which remains from `MeasuredPlant`; use the plant itself."""
+        """Plant without measurements. Deprecated attribute that remains from the class `MeasuredPlant`; use the plant itself."""
         warnings.warn("`plant` will be removed in the next version; use the plant itself", DeprecationWarning, stacklevel=2)
         return self.unmeasured
 
     @property
     def through(self) -> Array:
-        """Feedthrough Dyu. Deprecated attribute, which remains from `MeasuredPlant`; use `Dyu`."""
+        """Feedthrough Dyu. Deprecated attribute that remains from the class `MeasuredPlant`; use `Dyu`."""
         warnings.warn("`through` will be removed in the next version; use Dyu", DeprecationWarning, stacklevel=2)
         return self.Dyu
 
@@ -252,7 +252,7 @@ class Plant:
     def with_states(self, k: int) -> "Plant":
         """Returns the plant with k more states, inputs and measurements, for the states of a control law.
 
-        The additional states satisfy x_c' = v, or x_c[k+1] = v[k] if the plant is discrete. A law u = C x_c + D y,
+        The additional states satisfy x_c' = v, or x_c[k+1] = v[k] for a discrete plant. A law u = C x_c + D y,
         v = A x_c + B y is then the static gain [D, C; B, A] of the larger plant.
         """
         if not k:
@@ -274,7 +274,7 @@ class Plant:
     def with_law(self, law: LinearLaw) -> "tuple[Plant, Feedback]":
         """Returns the plant with the states of a law on y, and the law as a static gain on the states of this plant.
 
-        If y contains w, then w also acts on the larger plant through the law.
+        If y contains w, the larger plant also contains the effect of w through the law.
 
         Raises:
             InputError: the algebraic loop through the measurements has no solution.
@@ -318,7 +318,7 @@ class Plant:
         return replace(self, A=A, B=self.B / self.dt, Bw=self.Bw / self.dt, beyond=None, dt=None)
 
     def closed_loop(self, G: Array | Feedback) -> "Plant":
-        """Returns the plant with the feedback u = G x + (new u), equations (16) and (17).
+        """Returns the plant with the feedback u = G x + (new u), as in equations (16) and (17).
 
         A + B G and C + D G are rounded once, and `beyond` contains the rounding errors. For a very large gain, or a gain that
         cancels most of A, the rounding errors may determine the norm.
@@ -349,7 +349,7 @@ class Plant:
         return replace(self, A=A, B=B, Bw=Bw, C=self.C @ T, Cy=self.Cy @ T, beyond=None, weights=0)
 
     def with_inputs(self, W: Array) -> "Plant":
-        """Returns the plant with the inputs v, where u = W v and W has shape (m, k)."""
+        """Returns the plant with new inputs v, where u = W v and W has shape (m, k)."""
         return replace(self, B=self.B @ W, D=self.D @ W, Dyu=self.Dyu @ W, beyond=None, weights=0)
 
     def independent_inputs(self) -> Array:
@@ -394,7 +394,7 @@ def gain_law(gain: Array, m: int, q: int, dt: float | None = None) -> LinearLaw:
 
 
 def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array | None = None) -> tuple[Array, Array]:
-    """Returns the matrix [A; C] + [B; D] G, rounded once, and its rounding error.
+    """Returns the matrix [A; C] + [B; D] G, rounded once, and the rounding error of this matrix.
 
     Args:
         open_loop: matrices [A; C], shape (n + d, n).

@@ -6,15 +6,15 @@ The law computes the forces u from some of the outputs y. The other inputs d of 
 noise and forces from a road preview. In continuous time, the law acts without delay.
 
 In discrete time, the law samples y every T seconds, just before the new force starts to act. A measurement therefore contains
-the force that acted before the sample. In each part of the sample period, the acting force is a force that was computed some
-samples ago. The state at a sample is
+the force that acted before the sample was taken. In each part of the sample period, the acting force is a force that was
+computed some samples ago. The state at a sample is
 
     [x; states of the law; u[k-1]; ...; u[k-p]],
 
-where u[k-1], ..., u[k-p] are the previous forces that still act or that a measurement contains.
+where u[k-1], ..., u[k-p] are those previous forces that still act or that a measurement contains.
 
-In the frequency domain, a force that was computed j samples ago is exp(-j s T) times the new force (s: Laplace variable). A
-delayed force thus needs no additional state.
+In the frequency domain, a force that was computed j samples ago is the new force times exp(-j s T), where s is the Laplace
+variable. A delayed force thus needs no additional state.
 """
 
 import math
@@ -62,10 +62,11 @@ class Loop:
 
     Attributes:
         plant: plant with n states, either in continuous time, or in discrete time with held inputs.
-        law: law from the measured outputs to the forces, as designed; `acting_law` is the law as it runs.
+        law: designed law from the measured outputs to the forces; `acting_law` is the law as it runs.
         measured: names of the measured outputs.
         forces: names of the m inputs that the law computes.
-        hold: parts of the sample period in chronological order, each with the delay of its force; empty in continuous time.
+        hold: parts of the sample period in chronological order, each with the delay of the acting force; empty in continuous
+            time.
         step: time during which disturbances are held constant [s]; the parts of the period are multiples of this time.
         exponential: function that computes the matrix exponential of a step. With `taylor4`, the loop predicts the steps of an
             RK4 integrator.
@@ -92,22 +93,24 @@ class Loop:
 
     @cached_property
     def disturbances(self) -> tuple[str, ...]:
-        """Names of the inputs of the plant that are not forces of the law."""
+        """Names of those inputs of the plant that are not forces of the law."""
         return tuple(name for name in self.plant.inputs if name not in self.forces)
 
     @cached_property
     def law_states(self) -> tuple[str, ...]:
-        """Names of the outputs that are states of the law."""
+        """Names of those outputs that are states of the law."""
         return tuple(f"{LAW_STATE}{i}" for i in range(1, self.law.states + 1))
 
     @cached_property
     def requested_forces(self) -> tuple[str, ...]:
-        """Names of the outputs that are the forces computed by the law, without external forces."""
+        """Names of those outputs that are the forces computed by the law, without external forces."""
         return tuple(f"{name}{REQUESTED}" for name in self.forces)
 
     @property
     def direct(self) -> Array:
-        """Gain without delay from acting forces to requested forces, through measurements that contain forces, shape (m, m)."""
+        """Direct gain (without delay) from acting forces to requested forces, through measurements that contain forces, shape
+        (m, m).
+        """
         return self.acting_law.D @ self.plant.part(self.measured, self.forces).D
 
     @property
@@ -120,12 +123,12 @@ class Loop:
 
     @property
     def period(self) -> float:
-        """Sample period [s]; 0 in continuous time."""
+        """Sample period [s]; 0 for a loop in continuous time."""
         return sum(part.duration for part in self.hold)
 
     @cached_property
     def by_step(self) -> tuple[int, ...]:
-        """Delay of the force that acts in each step of the sample period [samples]."""
+        """Delay of the force that acts in each step of the sample period, as a number of samples."""
         assert self.step is not None, "the disturbances are held over steps"
         return tuple(part.delay_samples for part in self.hold for _ in range(round(part.duration / self.step)))
 
@@ -139,7 +142,7 @@ class Loop:
 
     @cached_property
     def _forced_plant(self) -> StateSpace:
-        """Plant with the forces as its first inputs."""
+        """Plant whose first inputs are the forces."""
         inputs = (*self.forces, *self.disturbances)
         return self.plant if inputs == self.plant.inputs else self.plant.part(self.plant.outputs, inputs)
 
@@ -160,11 +163,12 @@ class Loop:
 
     @cached_property
     def open_loop(self) -> StateSpace:
-        """Open loop, cut at all forces.
+        """Open loop, which is cut at all forces.
 
         The inputs of the open loop are the forces and the disturbances. The outputs are the outputs of the plant, the states of
-        the law, and the forces that the law requests. In discrete time, the force inputs are the forces computed at a sample.
-        Disturbances are then constant during the sample period, and the outputs have their values just after the sample.
+        the law, and the forces that the law requests. In discrete time, the force inputs are the forces that are computed at a
+        sample. Disturbances are then constant during the sample period, and the outputs have their values just after the
+        sample.
         """
         plant = self._forced_plant
         law, measured, m, p = self.acting_law, plant.rows(self.measured), len(self.forces), self.stored_forces
@@ -198,12 +202,12 @@ class Loop:
         forces.
 
         Raises:
-            InputError: the algebraic loop through measurements that contain forces has no solution in continuous time.
+            InputError: the algebraic loop through measurements that contain forces has no solution (only in continuous time).
         """
         return self.open_loop.closed(self.requested_forces, self.forces)
 
     def cut(self, forces: Sequence[str]) -> StateSpace:
-        """Returns the loop from acting to requested forces, cut at some forces and closed at all other forces."""
+        """Returns the loop from acting to requested forces, which is cut at some forces and closed at all other forces."""
         others = [name for name in self.forces if name not in forces]
         system = self.open_loop.closed([f"{name}{REQUESTED}" for name in others], others)
         return system.part([f"{name}{REQUESTED}" for name in forces], forces)
@@ -217,10 +221,10 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
     together.
 
     Args:
-        loop: sampled-data loop with a step.
-        outputs: names of p outputs. For states and requested forces of the law, the values are those at the last sample.
-        inputs: inputs by name, each of shape (..., T). Disturbances are constant during each step. Values for a force are added
-            to the requested force at the samples.
+        loop: sampled-data loop for which `step` is given.
+        outputs: names of p outputs. States and requested forces of the law have the values of the last sample.
+        inputs: input signals by name, each of shape (..., T). Disturbances are constant during each step. Inputs with the name
+            of a force are added to the requested force at the samples.
         start: initial states of the plant, shape (n,). Default: zero.
     """
     system, lates, names = loop.closed_loop, loop.by_step, list(inputs)
@@ -266,21 +270,21 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
 
 
 def _disturbances(loop: Loop, drive: Mapping[str, Array]) -> tuple[list[int], Array]:
-    """Returns the columns of the given disturbances in `Loop.open_loop`, and the amplitudes of these disturbances, shape (F, d,
-    c).
+    """Returns the columns of the disturbances in `drive` in `Loop.open_loop`, and the amplitudes of these disturbances, shape
+    (F, d, c).
     """
     names = [name for name in drive if name not in loop.forces]
     return loop.open_loop.columns(names), np.stack([drive[name] for name in names], axis=1)
 
 
 def _harmonic(loop: Loop, drive: Mapping[str, Array], omega: Array) -> tuple[Array, Array, Array]:
-    """Returns the response of a sampled-data loop to sinusoidal inputs, at the samples.
+    """Returns the response of a sampled-data loop to sinusoidal inputs, evaluated at the samples.
 
     A delay of j samples corresponds to the factor z^-j. The states s = [x; states of the law] and the forces therefore satisfy
 
         z s = A s + G u + E d,    u = C s + H u + F d.
 
-    The arguments are those of `frequency_response`.
+    The arguments are the same as those of `frequency_response`.
 
     Returns:
         The values of z, shape (F, 1, 1); the states s, shape (F, n + k, c); and the computed forces, shape (F, m, c).
@@ -316,11 +320,11 @@ def _turn(loop: Loop, omega: Array) -> Array:
 def _by_step(
     loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array
 ) -> tuple[StateSpace, list[Array], list[Array], Array]:
-    """Returns the harmonic response in every step of the sample period, relative to exp(j omega t).
+    """Returns the response to sinusoidal inputs in every step of the sample period, relative to exp(j omega t).
 
     Returns:
         The plant as a system from the forces and the disturbances in `drive` to the outputs. The states of this plant and the
-        acting forces in each step. The amplitudes of the disturbances.
+        acting forces, both in each step. The amplitudes of the disturbances.
     """
     plant = loop.plant.part(outputs, (*loop.forces, *(name for name in drive if name not in loop.forces)))
     (z, states, forces), (columns, d) = _harmonic(loop, drive, omega), _disturbances(loop, drive)
@@ -334,16 +338,16 @@ def _by_step(
 
 
 def harmonic_states(loop: Loop, drive: Mapping[str, Array], omega: Array) -> Array:
-    """Returns the states of `Loop.closed_loop` at the samples for sinusoidal inputs, shape (F, N, c).
+    """Returns the states of `Loop.closed_loop` at the samples in response to sinusoidal inputs, shape (F, N, c).
 
-    The arguments are those of `frequency_response`.
+    The arguments are the same as those of `frequency_response`.
     """
     z, states, forces = _harmonic(loop, drive, omega)
     return np.concatenate([states, *(forces / z ** (j + 1) for j in range(loop.stored_forces))], axis=1)
 
 
 def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> Array:
-    """Returns the complex amplitudes of outputs of the plant for sinusoidal inputs, shape (F, p, c).
+    """Returns the complex amplitudes of outputs of the plant in response to sinusoidal inputs, shape (F, p, c).
 
     If the sample period has several steps, held forces cause components at additional frequencies. The result then contains
     only the component at the frequency of the input.
@@ -352,7 +356,7 @@ def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, A
         loop: loop in continuous time, or sampled-data loop.
         outputs: names of p outputs of the plant.
         drive: complex amplitudes of the sinusoidal inputs, by name, each of shape (F, c). The amplitudes of disturbances refer
-            to the start of a step. Values for a force are added to the requested force.
+            to the start of a step. Amplitudes with the name of a force are added to the requested force.
         omega: angular frequencies [rad/s], shape (F,).
     """
     if not loop.stored_forces and (not loop.hold or len(loop.by_step) == 1):
@@ -367,7 +371,7 @@ def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Ar
     """Returns outputs of a sampled-data loop in every step of its sample period, for the inputs exp(j omega t).
 
     The sample period starts at t = 0. Between samples, held forces cause components at additional frequencies, whereas
-    `frequency_response` contains only the component at omega. The arguments are those of `frequency_response`.
+    `frequency_response` contains only the component at omega. The arguments are the same as those of `frequency_response`.
 
     Returns:
         The outputs, complex, shape (P + 1, F, p, c), where the last entry is the start of the next period. The jumps of the
@@ -385,6 +389,6 @@ def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Ar
 
 
 def _delay_forces(forces: Array, samples: int) -> Array:
-    """Returns forces of shape (..., K, m) that are delayed by a number of samples, starting with zeros."""
+    """Returns forces, shape (..., K, m), that are delayed by a number of samples; the first forces are zero."""
     count = forces.shape[-2]
     return np.concatenate([np.zeros_like(forces[..., :samples, :]), forces[..., : max(count - samples, 0), :]], axis=-2)

@@ -16,18 +16,18 @@ class DesignError(InputError):
 
 
 class InfeasibleError(DesignError):
-    """Error that is raised if, provably, no controller of the requested type stabilises the plant.
+    """Error that is raised if it is proved that no controller of the requested type stabilises the plant.
 
     The error message names the mode that cannot be stabilised, or gives a different reason.
     """
 
 
 class NoSolutionError(DesignError):
-    """Failure because an LMI problem has no solution with eta > 0. A stabilising controller may still exist."""
+    """Error that is raised if an LMI problem has no solution with eta > 0. A stabilising controller may still exist."""
 
 
 class TooLargeError(DesignError):
-    """Failure because an LMI problem has more optimisation variables than the central-path method allows."""
+    """Error that is raised if an LMI problem has more optimisation variables than the central-path method allows."""
 
 
 # A wrong shape is a programming error of Roadproof, even though numpy raises a LinAlgError for it.
@@ -39,7 +39,7 @@ NUMERIC = (  # words that numpy, scipy, LAPACK and Python use in messages about 
 
 
 def of_rounding(error: BaseException) -> bool:
-    """Returns True if an error is due to rounding (such as a singular matrix), and not to a mistake (such as a wrong shape)."""
+    """Returns True if an error is caused by rounding (such as a singular matrix), not by a mistake (such as a wrong shape)."""
     message = str(error)
     if isinstance(error, np.linalg.LinAlgError):
         return not any(word in message for word in OF_SHAPES)
@@ -67,7 +67,7 @@ def numerics() -> Iterator[None]:
     Failed linear algebra raises a DesignError. Results can be infinite or NaN, so the callers check them.
 
     Raises:
-        DesignError: numpy or scipy reports a matrix that is singular or not finite.
+        DesignError: numpy or scipy reports that a matrix is singular or not finite.
     """
     with one_thread(), np.errstate(all="ignore"):
         try:

@@ -1,10 +1,10 @@
 """Adaptive quadrature over a frequency band.
 
-The band is divided into panels. The length of a panel is at most a fraction of the distance to the nearest pole in the complex
-plane. A spectrum is therefore equally smooth on all panels, and even a resonance with a damping of 1e-6 needs only a few more
-panels. Each panel has Gauss-Legendre nodes, which are exact for polynomials up to degree 19. The error estimate is the part of
-the integrand with polynomial degrees 8 and 9, which is far larger than the true error. Panels with a large error estimate are
-halved.
+The frequency band is divided into panels. The length of a panel is at most a fraction of the distance to the nearest pole in
+the complex plane. A spectrum is therefore equally smooth on all panels; even a resonance with a damping of 1e-6 needs only a
+few more panels. Each panel has Gauss-Legendre nodes, which are exact for polynomials up to degree 19. The error estimate is the
+part of the integrand with polynomial degrees 8 and 9, which is far larger than the true error. Panels with a large error
+estimate are halved.
 """
 
 from collections.abc import Callable
@@ -33,8 +33,8 @@ class Band:
     """Values of a function at the quadrature nodes of a frequency band.
 
     Attributes:
-        omega: nodes in ascending order [rad/s], shape (F,).
-        share: quadrature weights [Hz], shape (F,). An integral over frequency is `share @ integrand`.
+        omega: frequencies of the nodes in ascending order [rad/s], shape (F,).
+        share: quadrature weights [Hz], shape (F,). The integral of a function over frequency is `share @ integrand`.
         values: values of the function at the nodes, shape (F, ...).
         error: largest estimated relative error among the integrals whose accuracy was checked.
     """

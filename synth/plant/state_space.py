@@ -24,7 +24,7 @@ class StateSpace:
         D: feedthrough, shape (p, k).
         inputs: names of the k inputs; empty if they have no names.
         outputs: names of the p outputs; empty if they have no names.
-        dt: sample period [s]; None in continuous time.
+        dt: sample period [s]; None for a system in continuous time.
         states: names of the n states; may be empty.
 
     Raises:
@@ -61,7 +61,7 @@ class StateSpace:
         return [self.inputs.index(name) for name in inputs]
 
     def part(self, outputs: Sequence[str], inputs: Sequence[str]) -> "StateSpace":
-        """Returns the system with only the given inputs and outputs."""
+        """Returns the system with only the inputs and outputs that are named."""
         rows, columns = self.rows(outputs), self.columns(inputs)
         D = self.D[np.ix_(rows, columns)]
         return replace(self, B=self.B[:, columns], C=self.C[rows], D=D, inputs=tuple(inputs), outputs=tuple(outputs))
@@ -88,13 +88,15 @@ class StateSpace:
 
     @property
     def feedthrough_radius(self) -> float:
-        """Spectral radius of the feedthrough of a cut loop. If the spectral radius is 1 or more, the closed loop has no delay
-        margin.
+        """Spectral radius of the feedthrough of a loop that is cut open. If the spectral radius is 1 or more, the closed loop
+        has no delay margin.
         """
         return spectral_radius(self.D)
 
     def loop_matrix(self, factor: Array | complex) -> Array:
-        """Returns the state matrix of a cut loop that is closed by u = factor y, for an array of factors, shape (..., n, n)."""
+        """Returns the state matrix of a loop that was cut and is closed by u = factor y, for an array of factors, shape (...,
+        n, n).
+        """
         factor = np.asarray(factor)[..., None, None]
         if not np.any(self.D):
             return self.A + factor * (self.B @ self.C)

@@ -1,4 +1,4 @@
-"""Claims of LMI certificates about upper bounds. Each claim contains an X that proves its bound in rational arithmetic.
+"""Claims about upper bounds, for LMI certificates. Each claim contains an X that proves its bound in rational arithmetic.
 
 X is computed in floats and rounded to as few bits as the proof allows, which keeps the files short. The code of
 `check_certificate.py` then checks the claim. A claim is returned only if the check of `check_certificate.py` proves the claim.
@@ -35,7 +35,7 @@ SLOWER = (1e-3, 1e-2, 0.1)
 
 
 def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = None, known: Array | None = None) -> Claim | None:
-    """Returns the claim that a loop is stable with a norm below a bound; None if the claim is not proved.
+    """Returns the claim that a loop is stable and its norm is below a bound; None if the claim is not proved.
 
     Args:
         loop: closed loop in rational arithmetic.
@@ -106,7 +106,7 @@ def decay_claim(loop: ExactLoop, dt: float | None = None, rate: float | None = N
 
 
 def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
-    """Returns the claim that |z| stays within a bound for every w of energy 1; None if the claim is not proved.
+    """Returns the claim that |z| does not exceed a bound for any w of energy 1; None if the claim is not proved.
 
     Args:
         loop: closed loop in rational arithmetic, without feedthrough from w to z.
@@ -123,7 +123,7 @@ def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
 def box_claims(loop: ExactLoop, proof: BoxProof, rate: float | None = None) -> list[Claim] | None:
     """Returns one claim for each part of a box of gain errors; None if a claim is not proved.
 
-    Either all claims bound the norm, or all claims bound the decay rate.
+    Either all claims of the list bound the norm, or all claims bound the decay rate.
 
     Args:
         loop: closed loop without gain errors, in rational arithmetic.

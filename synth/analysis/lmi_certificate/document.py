@@ -58,7 +58,7 @@ def plain_names(plant: Plant) -> Names:
 
 
 def _distinct(signals: Sequence[Signal]) -> list[dict[str, str]]:
-    """Returns signals as JSON. If several signals have the same name, a number is added to the later names."""
+    """Returns signals as JSON. If several signals have the same name, a number is appended to the name of each later signal."""
     names = [name for name, _ in signals]
     before = [names[:i].count(name) for i, name in enumerate(names)]
     return [{"name": f"{name} ({k + 1})" if k else name, "unit": unit} for (name, unit), k in zip(signals, before, strict=True)]
@@ -70,8 +70,8 @@ class Document:
 
     Attributes:
         gain: gain from the measurements to the forces, extended by the states of the law, shape (m + k, q + k).
-        law_states: number k of states of the law.
-        plants: plants as JSON, by name.
+        law_states: number k of the law's states.
+        plants: plants by name, in the form for JSON.
         claims: proved claims.
         not_exact: claims that the file does not prove, each with the reason why the proof is missing.
     """
@@ -116,7 +116,7 @@ class Document:
         self.not_exact.append({"claim": what, "proof": proof, "reason": reason})
 
     def add_certificate(self, name: str, plant: Plant, loop: ExactLoop, certificate: Certificate, of: Plant | None) -> None:
-        """Adds the claims of a certificate: the bound on the norm, the decay and the lower bound.
+        """Adds the claims of a certificate: the bound on the norm, the decay rate and the lower bound on the norm.
 
         Args:
             name: name of the plant.
@@ -124,7 +124,8 @@ class Document:
             loop: closed loop of the gain with this plant.
             certificate: certificate of the closed loop.
             of: plant to which the lower bound applies; the states of this plant are the first states of `plant`. None if the
-                file cannot contain a proof of the lower bound, because the plant of the bound has different states.
+                file cannot contain a proof of the lower bound, because the lower bound was proved for a plant with different
+                states.
         """
         proof, below = certificate.proof, certificate.below
         if certificate.stable:

@@ -53,7 +53,7 @@ def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict 
 
 
 def _largest(gamma: float, proves: Callable[[Fraction], bool]) -> Fraction:
-    """Returns the largest lower bound that is proved, among gamma and some values just below gamma; 0 if none is proved."""
+    """Returns the largest proved lower bound among gamma and some values just below gamma; 0 if none of them is proved."""
     levels = [decimal(gamma), *(decimal(rounded(gamma * (1 - less), 15)) for less in LOWER)]
     return next((level for level in levels if proves(level)), Fraction(0)) if proves(levels[-1]) else Fraction(0)
 
@@ -82,7 +82,7 @@ def _invariant_point(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict |
 def _duals(
     plant: Plant, state: DualCertificate, observer: DualCertificate | None, bits: int, shrink: float
 ) -> tuple[Array, Array, Array] | None:
-    """Returns W1, W2 and V12 of the dual certificates as arrays of `Fraction`; None if they cannot be computed."""
+    """Returns the matrices W1, W2 and V12 of the dual certificates as arrays of `Fraction`; None if they cannot be computed."""
     n, r = plant.Bw.shape
     one = SynthesisInequality.of(plant)
     first = _rational(one, state, bits)
@@ -139,5 +139,5 @@ def _normal_rows(side: SynthesisInequality) -> Array:
 
 
 def _fractions(whole: Array, over: int) -> Array:
-    """Returns integers divided by a denominator, as an array of `Fraction`."""
+    """Returns integers, each divided by the same denominator, as an array of `Fraction`."""
     return np.array([[Fraction(x, over) for x in row] for row in whole], dtype=object).reshape(whole.shape)

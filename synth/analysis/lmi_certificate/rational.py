@@ -28,7 +28,7 @@ def rows(matrix: Array | Sequence[Sequence[Fraction]]) -> list[list[str]]:
 
 
 def decimal(value: float) -> Fraction:
-    """Returns the decimal number that Python prints for a float, as an exact fraction."""
+    """Returns the decimal number that Python prints for a float, as an exact `Fraction`."""
     return Fraction(repr(float(value)))
 
 
@@ -63,7 +63,7 @@ def floats(loop: ExactLoop, dt: float | None) -> Plant:
 def shortened(X: Array) -> Iterator[Array]:
     """Yields approximations of a symmetric matrix X with positive diagonal, each with more bits than the previous one.
 
-    The last matrix is X itself.
+    The last matrix is exactly X.
     """
     size = 2.0 ** np.round(np.log2(np.diagonal(X)) / 2)
     for bits in BITS[:-1]:
