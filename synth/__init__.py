@@ -17,7 +17,7 @@ Public names. All units are SI. Each name in the following list is imported when
 
 Start reading the code at `synth/vehicle/designer.py` for vehicles, and at `synth/design/feedback.py` for any linear plant. Only
 `synth/vehicle` and the packages that build on it depend on vehicle models; all other packages work for any linear plant. Names
-in `synth` that are not in the list above may be moved or renamed without notice.
+in `synth` that are not in the list above may be moved or renamed at any time.
 """
 
 import sys

@@ -76,7 +76,7 @@ def norm_in_band(loop: Plant, low: float, high: float) -> BandNorm:
         Largest gain, the frequency [rad/s] of this gain, and an upper bound on the gain in the band, as a `BandNorm`.
 
     Raises:
-        InputError: the band is empty or out of range.
+        InputError: the frequency band is empty or out of range.
         DesignError: the loop is discrete and has a pole at z = -1.
 
     Example:

@@ -94,7 +94,7 @@ def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_
 
     Args:
         loop: stable loop in continuous time.
-        gamma: bound on the norm; must be larger than the norm.
+        gamma: bound, which must be larger than the norm.
         more: factor that multiplies the noise; the factor should be small compared with the relative gap between gamma and the
             norm.
         everywhere: relative power of the noise that acts on every state, including states that are not controllable from w.

@@ -10,7 +10,7 @@ feedthrough Dw from w to z (zero in the paper), the Schur complement that leads 
 
 which is affine in X, Y and eta = gamma^-2.
 
-For a discrete closed loop, the inequality is
+For a discrete closed loop, the inequality of the lemma is
 
     [ A X A' - X + eta Bw Bw'    A X C' + eta Bw Dw'       ]
     [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
@@ -27,7 +27,8 @@ As T decreases, the entries of the matrix for the discrete plant approach the en
 The larger matrix loses no digits by cancellation, even at a sample rate of 1 kHz.
 
 The LMI is *proved* in exact arithmetic (`analysis/rigorous.py`): all floats in the matrices are taken as exact numbers. The
-proof shows that the loop A + B G is stable and that its norm is below the bound. The norm itself is computed by two methods.
+proof shows that the loop A + B G is stable and that its norm is below the bound. The norm itself is computed by two different
+methods.
 """
 
 from collections.abc import Callable
@@ -148,7 +149,7 @@ class LmiProof:
     Attributes:
         X: symmetric matrix, shape (n, n).
         eta: gamma^-2.
-        positive: result of the check that X is positive definite.
+        positive: result of the check whether X is positive definite.
         negative: result of the check that the left side of (20), multiplied by -1, is positive definite.
     """
 
@@ -181,7 +182,7 @@ class LmiProof:
 
 
 def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Definiteness) -> str:
-    """Returns a text that explains why an inequality is not proved."""
+    """Returns a text that explains why an inequality could not be proved."""
     if np.isnan(definiteness.smallest):
         return f"{false}: a diagonal entry has the wrong sign, or the magnitude of an entry exceeds 1e200"
     if definiteness.smallest <= 0:
@@ -196,10 +197,10 @@ class Certificate(ShownResult):
     """Stability, norm and bounds of a closed loop, together with the proofs of these results.
 
     Attributes:
-        loop: closed loop to which all results apply.
+        loop: closed loop to which all results of the certificate apply.
         stability: poles of the loop, and whether they are stable.
         own: stability of the loop without the poles of the filters of z and w, because no controller can change these poles.
-        norm: H-infinity norm, computed by two methods, and the frequency of the peak gain.
+        norm: H-infinity norm, computed by two methods, and the frequency at which the gain has its peak.
         proof: proof of an upper bound on the norm; None if no upper bound is known.
         speed_up: magnitude of the fastest pole of `own`, divided by the speed of the plant without control.
         moves: True if the plant has poles other than 0; the speed of the plant is then the magnitude of the fastest pole of the
@@ -229,7 +230,7 @@ class Certificate(ShownResult):
 
     @property
     def claims(self) -> dict[str, str]:
-        """Norm, bound and lower bound as texts, and the claims that fail; a missing value has an empty text."""
+        """Norm, bound and lower bound as texts, and the claims that do not hold; the text of a missing value is empty."""
         known = {"norm": self.norm.value, "bound": self.bound, "lower bound": self.lower_bound}
         texts = {name: "" if value is None else digits(value) for name, value in known.items()}
         return texts | {"failures": "; ".join(self.failures)}
@@ -254,7 +255,7 @@ class Certificate(ShownResult):
 
     @property
     def poles(self) -> Array:
-        """Eigenvalues of A + B K C_y, complex, shape (n,) [rad/s]; poles z [-] if the loop is discrete."""
+        """Eigenvalues of A + B K C_y [rad/s], complex, shape (n,); for a discrete loop, the poles z [-]."""
         return self.stability.poles
 
     @property
@@ -307,7 +308,7 @@ class Certificate(ShownResult):
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Descriptions of the claims that do not hold; empty if all claims hold."""
+        """Descriptions of those claims that do not hold; empty if all claims hold."""
         if self.gap is None or self.gap >= -BELOW:
             return self.loop_failures
         below = f"the norm {digits(self.norm.value)} is below the lower bound {digits(self.lower_bound)}"
@@ -315,7 +316,7 @@ class Certificate(ShownResult):
 
     @property
     def loop_failures(self) -> tuple[str, ...]:
-        """Descriptions of the claims about the loop itself that do not hold; this list does not consider the lower bound."""
+        """Descriptions of those claims about the loop itself that do not hold; the list does not consider the lower bound."""
         failures = []
         if not self.stable:
             failures.append(self.stability.words)
@@ -332,7 +333,7 @@ class Certificate(ShownResult):
         return tuple(failures)
 
     def peaks_at(self, omega: float) -> bool:
-        """Returns True if the gain at the frequency omega [rad/s] equals the norm, within the allowed difference.
+        """Returns True if the gain at the frequency omega [rad/s] equals the norm, up to the allowed difference.
 
         The gain is flat at a peak, so the relative accuracy of a peak frequency is only about 1e-5.
         """
@@ -356,13 +357,13 @@ def certify(
     """Computes the certificate of a gain. If X and eta are given, checks whether X and eta prove a bound.
 
     X and eta can come from an LMI solution or from a design record. Without X and eta, the certificate contains no bound.
-    `certify_tightly` computes X and eta itself, which takes several times as long.
+    `certify_tightly` computes X and eta itself, but takes several times as long.
 
     Args:
         plant: plant with n states and m inputs.
         G: gain from the measurements, as in (6) of the paper, which is used without rounding; or a state gain of shape (m, n).
         X: symmetric matrix X of LMI (20), shape (n, n).
-        eta: gamma^-2 of (20), required if X is given.
+        eta: value gamma^-2 of (20), required if X is given.
         lower_bound: lower bound on the norm for all controllers with the same measurements as G.
         plant_without_law: plant without the states of the controller. `Certificate.speed_up` is relative to the speed of
             `plant_without_law`. The attribute `weights` of `plant_without_law` is the number of states that belong to filters.
@@ -373,7 +374,7 @@ def certify(
         `failures` of the certificate list the claims that do not hold.
 
     Raises:
-        InputError: eta or X is out of range, or X has the wrong shape.
+        InputError: eta or X is outside the allowed range, or X has the wrong shape.
 
     Example:
         >>> from synth import GeneralizedPlant, Feedback, certify
@@ -417,7 +418,7 @@ def prove_bound(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> LmiP
         eta: gamma^-2.
 
     Raises:
-        InputError: eta or X is out of range.
+        InputError: eta or X is outside the allowed range.
     """
     X = (X + X.T) / 2
     try:
@@ -433,7 +434,7 @@ def prove_bound(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> LmiP
 
 
 def eta_of(bound: float) -> float:
-    """Returns eta = gamma^-2 of a bound gamma, rounded up. A proof for the rounded eta proves the bound gamma, or a bound just
+    """Returns eta = gamma^-2 for a bound gamma, rounded up. A proof for the rounded eta proves the bound gamma, or a bound just
     below gamma.
     """
     eta = bound**-2

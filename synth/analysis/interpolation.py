@@ -80,7 +80,7 @@ class Node(NamedTuple):
 def zero_limit(
     plant: Plant, inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None
 ) -> tuple[float, Zeros]:
-    """Returns the largest lower bound that is proved by zeros in the right half plane, and approximations of these zeros.
+    """Returns the largest lower bound that zeros in the right half plane prove, and approximations of these zeros.
 
     The bound is 0 if the zeros do not prove any bound.
 
@@ -118,7 +118,7 @@ def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
     """Returns the lower bound on the norm that several interpolation conditions prove together; 0 if the conditions prove no
     bound.
 
-    A condition that is too close to an earlier condition is ignored.
+    An interpolation condition whose zero is too close to the zero of an earlier condition is ignored.
     """
     nodes: list[list[Node]] = [[], []]
     for kind, given in zip(nodes, (left, right), strict=True):
@@ -176,7 +176,7 @@ class _Pencil(NamedTuple):
     def zeros(self) -> list[complex]:
         """Returns approximations of the points in the right half plane at which Q - s U loses rank.
 
-        If U and Q are not square, the result may also contain points at which the rank is not lost.
+        If U and Q are not square, the result may also contain points at which Q - s U does not lose rank.
         """
         k, a = self.U.shape
         if not 0 < a <= k:
@@ -186,7 +186,7 @@ class _Pencil(NamedTuple):
         return [zero * self.rate for zero in zeros if np.isfinite(zero) and zero.real > 0 and self.loses_rank(zero)]
 
     def loses_rank(self, s: complex) -> bool:
-        """Returns True if Q - s U may lose rank at s."""
+        """Returns True if the matrix Q - s U may lose rank at s."""
         sizes = np.linalg.svd(self.Q - s * self.U, compute_uv=False)
         return bool(sizes[-1] <= NEARLY * sizes[0])
 

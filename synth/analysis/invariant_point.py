@@ -78,7 +78,7 @@ def limit_at(plant: Plant, omega: float) -> float:
 
 @np.errstate(all="ignore")  # a value that is infinite or NaN never counts as a proof
 def proof_at(plant: Plant, omega: float) -> tuple[float, Array]:
-    """Returns the lower bound of `limit_at` and the pair (q, p) that proves this bound.
+    """Returns the lower bound that `limit_at` gives, and the pair (q, p) that proves this bound.
 
     Returns:
         The lower bound, and a vector of 2 (n + d) integers: the real parts of q and p, followed by the imaginary parts of q and
@@ -120,8 +120,8 @@ def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
     """Returns, in integers, M = [A - j omega, B; C, D] and the matrix that maps [q; p]* to the effect of w.
 
     The complex vector [q; p] is stored as a real vector: first the real parts of all entries, then the imaginary parts. For a
-    discrete plant, the point z = (1 + j t) / (1 - j t) is used, with a float t = tan(omega dt / 2). The point z is exactly on
-    the unit circle. The rows of the matrix that belong to the states are multiplied by 1 - j t.
+    discrete plant, the point z = (1 + j t) / (1 - j t) is used, where t = tan(omega dt / 2) is a float. The point z is exactly
+    on the unit circle. The rows of the matrix that belong to the states are multiplied by 1 - j t.
 
     Returns:
         The real part and the imaginary part of M, both multiplied by the same factor, each of shape (n + d, n + m). The matrix
@@ -174,7 +174,7 @@ def _limit_beside(K: Array, direct: Array) -> float:
 
 
 def is_pole(plant: Plant, omega: float) -> bool:
-    """Returns True if j omega is numerically equal to a pole, for example 0 for an integrator."""
+    """Returns True if j omega is numerically equal to a pole; for an integrator, this is the case at omega = 0."""
     return bool(np.linalg.matrix_rank(_states(replace(plant, A=balance(plant.A)[0]), omega)) < len(plant.A))
 
 
@@ -194,7 +194,7 @@ def _poles_on_axis(plant: Plant) -> list[float]:
 
 
 def _strongest(outputs: Array, effects: Array) -> Array:
-    """Returns the vector x with the largest |x' effects| / |x' outputs|, excluding directions in which x' outputs is zero.
+    """Returns the vector x with the largest |x' effects| / |x' outputs|; directions with x' outputs = 0 are excluded.
 
     Args:
         outputs: matrix of shape (k, d).
@@ -235,7 +235,9 @@ def _invariant_part(plant: Plant, omega: Array, away: float = AWAY) -> Array:
 
 
 def _guess(plant: Plant, omega: float, away: float = AWAY) -> tuple[Array, Array]:
-    """Returns approximations of the p and q that give the largest bound at omega [rad/s], complex, shapes (d,) and (n,)."""
+    """Returns approximations of the vectors p and q that give the largest bound at the frequency omega [rad/s], complex, shapes
+    (d,) and (n,).
+    """
     where, there = plant, omega
     if plant.dt is not None:
         from synth.plant.discrete import continuous_image, mapped_frequency
@@ -249,5 +251,5 @@ def _guess(plant: Plant, omega: float, away: float = AWAY) -> tuple[Array, Array
 
 
 def _off_poles(plant: Plant, omega: Array, away: float) -> Array:
-    """Returns frequencies slightly above `omega` that are not exactly at a pole."""
+    """Returns frequencies slightly above `omega` at which there is no pole."""
     return omega * (1 + away) + away * _rates(plant).max() * (omega == 0)

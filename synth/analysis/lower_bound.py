@@ -2,13 +2,13 @@
 
 A controller of any order from y = C_y x + Dyw w can reach a norm below gamma only if positive definite matrices X and S exist
 such that [X I; I S] is positive semidefinite. Here the matrix X satisfies the inequality (`SynthesisInequality`) of the plant
-with eta = gamma^-2. S solves the inequality of the transposed plant (Gahinet, Apkarian 1994), in which 1 replaces eta, and
-gamma^2 c2 c2' replaces c c':
+with eta = gamma^-2. The matrix S solves the inequality of the transposed plant (Gahinet, Apkarian 1994), in which 1 replaces
+eta, and gamma^2 c2 c2' replaces c c':
 
     He(Q X U') + eta b b' - c c' < 0,         He(Q2 S U2') + b2 b2' - gamma^2 c2 c2' < 0.
 
-The dual variables are positive semidefinite matrices W1, W2 and V = [V2, V12; V12', V1] with V1 = He(U' W1 Q), and V2 likewise.
-The sum of the products of W1, W2 and V with the three inequalities is
+The dual variables are the positive semidefinite matrices W1, W2 and V = [V2, V12; V12', V1], with V1 = He(U' W1 Q); V2 is
+defined likewise. The sum of the products of W1, W2 and V with the three inequalities is
 
     (t1 - e1 / gamma^2) + (t2 gamma^2 - e2) > 2 f,     e = tr b' W b,  t = tr c' W c,  f = -tr(V12 (J2 J1')').
 
@@ -18,12 +18,13 @@ W1 and W2 may be scaled independently. Therefore, gamma^2 is at least the larges
 
 The first entry of the matrix is the square of the bound for state feedback. No controller reaches a norm below the bound for
 state feedback, even if the controller is dynamic or nonlinear and measures w (Khargonekar, Petersen, Rotea 1988). On the
-central path, W = (c c' - He(Q X U') - eta b b')^-1 is a dual solution. A point (X, eta) therefore determines a dual solution.
+central path, the matrix W = (c c' - He(Q X U') - eta b b')^-1 is a dual solution. A point (X, eta) therefore determines a dual
+solution.
 
 **The proof, and rounding.** The matrices W = L L' and V12 = Y2 K Y1' are *defined* by the factors, which are computed in
 floats. The bound is valid for any values of the factors L, Y1, Y2 and K. The numbers e, t and f and the entries of V are then
-computed in integers from the entries of the plant's matrices, without a tolerance. Only the definiteness of V is checked in
-floats. The check of definiteness uses entries that were rounded once, and a proved bound on the rounding errors
+computed in integers from the entries of the plant's matrices, without a tolerance. Only whether V is positive definite is
+checked in floats. This check uses entries of V that were rounded once, and a proved bound on the rounding errors
 (`analysis/rigorous.py`). The largest eigenvalue of the matrix is rounded down.
 """
 
@@ -71,12 +72,13 @@ class LowerBound:
     Attributes:
         gamma: lower bound; 0 if nothing is proved.
         state: dual certificate for state feedback; None if an invariant point or zeros prove the bound.
-        observer: dual certificate of the transposed plant; None if the bound for state feedback is used.
-        limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; None if the bound is proved
-            differently.
+        observer: dual certificate of the transposed plant; None if the bound is the one for state feedback.
+        limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; None if the bound has a different
+            proof.
         zeros: zeros from u to z and from w to y [rad/s] with which `interpolation.limit_at_zeros` proves the bound; None if the
-            bound is proved differently.
-        reason: text that explains why the bound may be far below the norms of controllers; empty if no reason is known.
+            bound has a different proof.
+        reason: text that explains why the lower bound may be far below the norms of all controllers; empty if no reason is
+            known.
     """
 
     public_name = "a lower bound, such as synth.find_lower_bound returns"
@@ -102,7 +104,7 @@ class SampledBound:
     Attributes:
         level: lower bound on the L2 gain.
         proof: lower bound on the norm of the equivalent discrete plant for `level`, with its proof.
-        inside: True if no equivalent discrete plant exists for the level. If no such plant exists, the gain within one period
+        inside: True if `level` has no equivalent discrete plant. If no such plant exists, the gain within one period
             is at least `level` before any force can respond.
     """
 
@@ -117,7 +119,7 @@ class SampledBound:
 
 
 def prove_lower_bound(plant: Plant, state: DualCertificate, observer: DualCertificate | None = None) -> LowerBound:
-    """Returns the lower bound that dual certificates prove.
+    """Returns the lower bound that follows from dual certificates.
 
     A point earlier on the central path, where the barrier parameter mu is larger, gives a bound that is weaker by (2 n + d) mu
     but easier to prove.
@@ -156,8 +158,8 @@ class _Dual:
     """The numbers e and t and the matrix V = T^-T V_T T^-1 of a dual solution.
 
     Attributes:
-        e, t: exact values of the numbers e and t of the dual solution. For an antistable part, `e` is a lower bound on the
-            exact number, and `t` is an upper bound.
+        e, t: exact values of the numbers e and t of the dual solution. For the antistable part of an inequality, `e` is a lower
+            bound on the exact number, and `t` is an upper bound.
         V: the matrix V_T in floats, which is close to I (identity matrix) on the central path.
         error_bound: bound on the error of each entry of V_T, same shape as V_T.
         T: matrix of floats, treated as exact, shape (a, a).

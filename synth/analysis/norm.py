@@ -14,9 +14,9 @@ Both methods compute gains from the same transfer function. A modal form of the 
 evaluate, is used only to select frequencies. The returned gains are computed without the modal form, by solving a linear system
 of equations.
 
-The rounding error of the gains is bounded to first order. The bound on the rounding error is large if a very large gain G
-causes both fast and slow poles of the loop A + B G. If the bound is large, both methods refine their results with twice the
-precision. For the refinement, the sum A + B G is used unrounded.
+The rounding errors of the gains are bounded to first order. The bound on the rounding error is large if a very large gain G
+causes both fast and slow poles of the loop A + B G. If the bound is large, both methods refine their results in calculations
+with twice the precision. For the refinement, the sum A + B G is used without rounding.
 """
 
 from collections.abc import Callable
@@ -56,7 +56,8 @@ def largest_singular_values(T: Array) -> Array:
 
 
 def highest(T: Array, above: float) -> tuple[float, int]:
-    """Returns the largest singular value among F matrices, T of shape (F, d, r), and the index of its matrix.
+    """Returns the largest singular value among F matrices, T of shape (F, d, r), and the index of the matrix to which it
+    belongs.
 
     Singular values up to `above` are ignored. If no singular value exceeds `above`, returns 0 and the index -1. Most matrices
     are excluded by their Frobenius norm, which is cheap to compute.
@@ -132,7 +133,7 @@ class Gain:
         return np.linalg.norm(self.system.frequency_response(omega), 2, axis=(1, 2))
 
     def about(self, omega: Array) -> Array:
-        """Returns the same gains as `at`, but computed from the modal form if this form's relative error is at most ALIKE."""
+        """Returns the gains of `at`, but computed from the modal form if this form's relative error is at most ALIKE."""
         return self.at(omega) if self._residues is None else self._by_modes(self._residues, omega)
 
     def at_poles(self) -> float:
@@ -177,7 +178,7 @@ class Gain:
         return largest_singular_values(T), missing
 
     def missing(self, at: float) -> float:
-        """Returns the bound on the error of `at_double_double` at the frequency `at` [rad/s]; 0 at infinite frequency."""
+        """Returns the bound on the error that `at_double_double` has at the frequency `at` [rad/s]; 0 at infinite frequency."""
         return float(self.at_double_double(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
 
     def grid_error(self, at: float) -> float:
@@ -222,7 +223,7 @@ class Gain:
         return self.or_at_infinity(best, there)
 
     def or_at_infinity(self, best: float, at: float) -> tuple[float, float]:
-        """Returns the larger of the gain `best` and the gain at infinite frequency, and its frequency: `at` or infinity.
+        """Returns the gain `best` or the gain at infinite frequency, whichever is larger, and its frequency: `at` or infinity.
 
         Infinite frequency is considered only if the interval is unbounded.
         """
@@ -302,8 +303,8 @@ def hinf_norm(system: Plant) -> Norm:
         system: continuous or discrete system from w to z; for a plant with a controller, use `plant.closed_loop(...)`.
 
     Returns:
-        H-infinity norm, peak frequency [rad/s] and the results of both methods, as a `Norm`. The norm is infinite if the system
-        is not stable.
+        The H-infinity norm, the peak frequency [rad/s] and the results of both methods, as a `Norm`. The norm is infinite if
+        the system is not stable.
 
     Example:
         >>> from synth import GeneralizedPlant, Feedback, hinf_norm

@@ -89,12 +89,13 @@ def span_all(rows: Array, step: Array) -> bool:
 
 
 class Nullspace:
-    """Solutions Phi of K' Phi = 0 for a matrix of integers K, shape (N, c). Some rows of Phi determine the other rows.
+    """Solutions Phi of K' Phi = 0 for a matrix of integers K, shape (N, c). Some rows of Phi, the free rows, determine the
+    remaining rows.
 
     Attributes:
-        pivots: indices of the rows of Phi that follow from the free rows; the number of these rows is the rank of K.
-        free: indices of the rows of Phi that may be chosen freely.
-        independent: indices of columns of K that form a basis of its column space.
+        pivots: indices of those rows of Phi that follow from the free rows; the number of pivots is the rank of K.
+        free: indices of those rows of Phi that may be chosen freely.
+        independent: indices of those columns of K that form a basis of the column space of K.
     """
 
     def __init__(self, K: Array) -> None:
@@ -151,10 +152,10 @@ def _similar_columns(rows: Array) -> tuple[Array, Array]:
 
 
 def without_factors(columns: Array) -> tuple[Array, int]:
-    """Divides columns by their common factors, and scales them to similar size.
+    """Divides the columns of a matrix by their common factors, and scales the columns to similar size.
 
     Returns:
-        The columns, and a power of two close to the largest entry of every column.
+        The new columns, and a power of two close to the largest entry of every column.
     """
     columns = columns.copy()
     for j in range(columns.shape[1]):
@@ -187,11 +188,11 @@ TINY = 1e-100  # more than the sum of all underflow errors in one proof, if the 
 
 @dataclass(frozen=True)
 class Definiteness:
-    """Result of a definiteness test of a symmetric matrix, scaled to diagonal entries between 1/2 and 2.
+    """Result of a definiteness test of a symmetric matrix that was scaled to diagonal entries between 1/2 and 2.
 
     Attributes:
         smallest: computed smallest eigenvalue; NaN if a diagonal entry is not positive or an entry is out of range.
-        rounding: bound on the effect of rounding errors, which the smallest eigenvalue must exceed for a proof.
+        rounding: bound on the effect of rounding errors; for a proof, the smallest eigenvalue must exceed this bound.
         proved: True if the matrix is proved positive definite even with rounding errors.
     """
 
@@ -218,7 +219,7 @@ def radius_of_solution(residual: float, contraction: float, curvature: float) ->
 
 
 def definiteness(M: Array) -> Definiteness:
-    """Tests whether every symmetric matrix whose entries round to those of M is positive definite.
+    """Tests whether all symmetric matrices whose entries round to those of M are positive definite.
 
     M must be exactly symmetric.
     """

@@ -1,23 +1,24 @@
 """Sampled-data loops: a continuous plant with sampled measurements and held inputs, lifted to a discrete plant.
 
-Over a sample period of T seconds, z and w are functions of time. For a level gamma of the L2 gain, there is a discrete plant
+During a sample period of T seconds, z and w are functions of time. For a level gamma of the L2 gain, there is a discrete plant
 with the same number of states as the continuous plant,
 
     x[k+1] = Ad x[k] + Bd w_d[k],    z_d[k] = Cd x[k].
 
-Consider any controller that acts at the samples. The L2 gain from w to z is below gamma if and only if the l2 gain from w_d to
-z_d is below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). If the held inputs are constant states of the plant, and w is in
-units of gamma, the matrices of the discrete plant are
+Consider any controller that acts only at the samples. The L2 gain from w to z is below gamma if and only if the l2 gain from
+w_d to z_d is below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). If the held inputs are constant states of the plant, and w is
+in units of gamma, the matrices of the discrete plant are
 
     H = [A + Bw R Dw' C, Bw R Bw'; -C' (I + Dw R Dw') C, -A' - C' Dw R Bw'],    R = (I - Dw' Dw)^-1,    S = exp(T H),
 
     Ad = S22^-T,    Bd Bd' = S12 S22^-1,    Cd' Cd = -S22^-1 S21,
 
-if the matrix S22 is invertible for all times in (0, T]. If S22 is not invertible at some time, the gain within one period is at
-least gamma, before any force can respond to w.
+if the matrix S22 is invertible at all times in (0, T]. If S22 is singular at some time in (0, T], the gain within one period is
+at least gamma, before any force can respond to w.
 
-The entries of S grow without bound as the period T grows. Therefore, Ad, Bd Bd' and Cd' Cd are first computed for a short time;
-this time is then doubled repeatedly. For two consecutive intervals 1 and 2, the matrices of the combined interval are
+The entries of S grow without bound as the period T grows. Therefore, Ad, Bd Bd' and Cd' Cd are first computed for a short time
+interval, whose length is then doubled repeatedly. For two consecutive intervals 1 and 2, the matrices of the combined interval
+are
 
     Ad = Ad2 M Ad1,    Bd Bd' = Bd2 Bd2' + Ad2 M Bd1 Bd1' Ad2',    Cd' Cd = Cd1' Cd1 + Ad1' Cd2' Cd2 M Ad1,
 
@@ -186,7 +187,7 @@ def _symmetric(matrix: Array) -> Array:
 def _root(matrix: Array) -> Array:
     """Returns L with L L' = matrix.
 
-    The matrix must be positive semidefinite up to rounding. The rows of the matrix may have different units.
+    The matrix to be decomposed must be positive semidefinite up to rounding. The rows of this matrix may have different units.
     """
     size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     unit = np.where(size > 0, size, 1.0)
@@ -196,15 +197,15 @@ def _root(matrix: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SampledLoop(CheckedFields):
-    """Closed loop of a continuous plant and a discrete controller.
+    """Closed loop of a continuous plant and a discrete controller, with sampled measurements.
 
     At a sample, let x be the states of the plant, s the states of the controller, and p = [x; s]. Then
 
         u = K p,    s+ = A_register p + B_register u_a,
 
     where u_a denotes the force that acts at the end of the period. The measurement noise is a sequence e. The energy of e is
-    the sum of the squares of its values. The product of the matrix `noise` and the vector e is added to the computed forces u
-    and the next controller states s+.
+    the sum of the squared values of e. The matrix `noise` times the vector e is added to the computed forces u and the next
+    controller states s+.
 
     Attributes:
         plant: plant in continuous time with n states and m inputs.
@@ -237,7 +238,7 @@ class SampledLoop(CheckedFields):
     @classmethod
     @check_arguments
     def of_gain(cls, plant: Plant, K: Matrix, Cy: Matrix, sample_period: PositiveTime, delay: NotNegative = 0.0) -> "SampledLoop":
-        """Returns the sampled-data loop of a static gain, u = K y at every sample.
+        """Returns the sampled-data loop of a static gain, with u = K y at every sample.
 
         Args:
             plant: plant in continuous time with n states and m inputs.
@@ -297,7 +298,7 @@ class SampledLoop(CheckedFields):
         """Duration [s] of each of the p parts of the period, and the matrix, shape (m, m p), that selects the inputs that act
         in this part.
 
-        Each part of the period has held inputs that act only in this part.
+        Each part of the period has held inputs that act only during this part.
         """
         m, count = len(self.K), len(self.pieces)
         return [(piece.duration, np.kron(np.eye(count)[i], np.eye(m))) for i, piece in enumerate(self.pieces)]
@@ -349,7 +350,7 @@ class SampledLoop(CheckedFields):
     def at_angles(self, increment: Array, angles: Array) -> tuple[Array, Array]:
         """Returns the matrices of the loop at points zeta = exp(j angle) on the unit circle.
 
-        At these points, a delay is a multiplication by a power of zeta, so delayed forces need no states.
+        At these points of the unit circle, a delay is a multiplication by a power of zeta, so delayed forces need no states.
 
         Args:
             increment: transition matrix of [x; held inputs] over one period minus the identity, as in `closed`.
@@ -406,7 +407,7 @@ class SampledDataProblem:
 
     @cached_property
     def stored_forces(self) -> int:
-        """Number of previous forces that are states of the discrete plant, per input."""
+        """Number of previous forces of each input that are states of the discrete plant."""
         return max(self.pieces[0].delay_samples, self.before if np.any(self.plant.Dyu) else 0)
 
     @cached_property
@@ -420,7 +421,7 @@ class SampledDataProblem:
 
     @property
     def without_delay(self) -> "SampledDataProblem":
-        """Copy of this problem without delay, and without an effect of the forces on the measurements."""
+        """Copy of this problem in which there is no delay and the forces have no effect on the measurements."""
         return replace(self, plant=self.plant.without_feedthrough, pieces=(HoldInterval(self.period, 0),))
 
     @cached_property

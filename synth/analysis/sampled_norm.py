@@ -1,11 +1,11 @@
 """L2 gain of a sampled-data loop from w to z, both in continuous time: the exact value and a lower bound.
 
-The first method tests values of the gain, called levels. A level exceeds the gain if the discrete plant of this level
-(`sampled_loop.py`), with the controller, gives a stable closed loop with an l2 norm below 1. The bilinear transform maps the
-closed discrete loop to a continuous loop with the same gains. The eigenvalues of the Hamiltonian matrix of the continuous loop
-give the angles on the unit circle at which some gain is 1. The gain is evaluated at these angles and at angles between them. At
-the angle of the largest gain, the level is changed until the largest gain is 1. The resulting level is the L2 gain for a
-disturbance whose phase advances by the angle of the largest gain per sample.
+The first method tests values of the L2 gain, which are called levels. A level exceeds the gain if the discrete plant of this
+level (`sampled_loop.py`), with the controller, gives a stable closed loop with an l2 norm below 1. The bilinear transform maps
+the closed discrete loop to a continuous loop with the same gains. The eigenvalues of the Hamiltonian matrix of the continuous
+loop give the angles on the unit circle at which some gain is 1. The gain is evaluated at these angles and at angles between
+them. At the angle of the largest gain, the level is changed until the largest gain is 1. The resulting level is the L2 gain for
+a disturbance whose phase advances by the angle of the largest gain per sample.
 
 The second method gives a lower bound and does not use levels. The second method considers disturbances that are polynomials of
 low degree over each part of the period. From sample to sample, the phase of the polynomial disturbances advances by a fixed
@@ -231,7 +231,7 @@ class _Level:
 
 
 class _Search:
-    """Search for the level at which the largest gain of the discrete loop is 1."""
+    """Search for the level of the L2 gain at which the largest gain of the discrete loop is 1."""
 
     def __init__(self, loop: SampledLoop, poles: Array) -> None:
         """Prepares the search for the L2 gain of a stable loop.
@@ -310,8 +310,8 @@ class _Search:
     def _gain_at(self, angle: float, level: float, below: float) -> tuple[float, float, bool]:
         """Returns the level at which the gain of the discrete loop at an angle [rad] is 1, and a lower level.
 
-        The third returned value is True if the lower level has no discrete plant. The search is a secant iteration in
-        the logarithms of level and gain, between a level below the result and a level above the result.
+        The third returned value is True if the lower level has no discrete plant. The search is a secant iteration in the
+        logarithms of level and gain; it keeps one level below the result and one level above.
         """
         above, last, first = np.inf, None, level
         for _ in range(ROUNDS):

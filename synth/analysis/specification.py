@@ -25,7 +25,7 @@ class Specification:
         what: name of the quantity.
         value: largest known value of the quantity.
         proved: proved upper bound on the quantity; None if `value` is exact up to rounding.
-        at_most: largest allowed value; None if the quantity is minimised.
+        at_most: largest allowed value of the quantity; None if the quantity is minimised.
         unit: unit of `value`, `proved` and `at_most`.
         where: description of the case in which `value` occurs; may be empty.
         proof: type of the proof, and whether the proof is exact or was computed twice; empty unless the quantity concerns
@@ -42,7 +42,7 @@ class Specification:
 
     @property
     def holds(self) -> bool:
-        """True if the proved bound, or the exact value, does not exceed the limit."""
+        """True if the proved bound does not exceed the limit; if the exact value is known, this value is compared."""
         known = self.value if self.proved is None else self.proved
         return bool(known < float("inf") if self.at_most is None else known <= self.at_most + SAME * abs(self.at_most))
 
@@ -97,7 +97,7 @@ class SampledNorm:
             angle.
         reached: gain for an actual disturbance, computed by a second method (`sampled_norm.py`); this gain does not exceed the
             norm.
-        inside: True if a disturbance within one period already reaches the largest gain; then no controller with this sample
+        inside: True if a disturbance within one period already causes the largest gain; then no controller with this sample
             rate can reduce the gain.
     """
 

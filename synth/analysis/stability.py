@@ -5,7 +5,7 @@ omega is on the imaginary axis *up to rounding* if such an E can move an eigenva
 singular value of A - j omega is at most |E| (Trefethen, Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole,
 the largest distance from the axis that rounding can cause is the condition number of the eigenvalue times |E|.
 
-The criterion also holds for multiple poles, whose condition number is infinite. Rounding moves a double pole by about
+The criterion also holds for multiple poles, although their condition number is infinite. Rounding moves a double pole by about
 sqrt(eps). Nevertheless, a double pole at the origin counts as marginal, and a double pole at -1 counts as stable.
 
 A controller can stabilise a plant only if every mode that does not decay is controllable and observable.
@@ -38,7 +38,7 @@ class Stability:
     Attributes:
         poles: sorted eigenvalues of A [rad/s], complex, shape (n,); for a discrete loop, dimensionless poles z.
         on_axis: mask of the poles that are on the imaginary axis (discrete: on the unit circle) up to rounding, shape (n,).
-        rounding: norm of E, the effect of rounding errors on A [rad/s]; dimensionless for a discrete loop.
+        rounding: norm of E, which describes the effect of rounding errors on A [rad/s]; dimensionless for a discrete loop.
         vectors: right eigenvectors of the balanced A, each of length 1, complex, shape (n, n).
         dt: sample period of a discrete loop [s]; None for a continuous loop.
     """
@@ -63,7 +63,7 @@ class Stability:
     def verdict(self) -> str:
         """`STABLE`, `MARGINAL` or `UNSTABLE`.
 
-        A marginal loop has a pole that does not decay, but no pole that is unstable beyond rounding.
+        A marginal loop has a pole that does not decay, but no pole that is unstable by more than rounding errors.
         """
         if np.any(self.growth[~self.on_axis] > 0):
             return UNSTABLE
@@ -107,7 +107,7 @@ class Stability:
 
 
 def stability(A: Array, dt: float | None = None) -> Stability:
-    """Returns the poles of x' = A x, or of x[k+1] = A x[k], and whether they are stable.
+    """Returns the poles of x' = A x, or of x[k+1] = A x[k], and whether the poles are stable.
 
     Args:
         A: finite matrix, shape (n, n).
@@ -121,7 +121,7 @@ def stability(A: Array, dt: float | None = None) -> Stability:
 
 
 def stability_of_balanced(A: Array) -> Stability:
-    """Returns the stability of a continuous loop, given its balanced state matrix; see `stability`."""
+    """Returns the stability of a continuous loop, given the balanced state matrix of the loop; see `stability`."""
     poles, conditions, vectors = _eigen(A)
     on_axis = _within_rounding(A, conditions, 1j * np.imag(poles), np.abs(np.real(poles)))
     return Stability(poles, on_axis, rounding(A), vectors)
@@ -180,7 +180,9 @@ def pole_text(pole: complex, dt: float | None = None) -> str:
 
 
 def _eigen(A: Array) -> tuple[Array, Array, Array]:
-    """Returns eigenvalues (complex, sorted), their condition numbers (infinite if defective), and right eigenvectors."""
+    """Returns the eigenvalues (complex, sorted), their condition numbers (infinite for defective eigenvalues), and the right
+    eigenvectors.
+    """
     if not len(A):
         return np.zeros(0, dtype=complex), np.zeros(0), np.zeros((0, 0), dtype=complex)
     poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
@@ -214,8 +216,8 @@ def _within_rounding(A: Array, conditions: Array, points: Array, distances: Arra
 def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: float) -> dict[tuple[float, float], bool]:
     """Returns, for each point p, True if a singular matrix exists within `distance` of A - p I.
 
-    Such a matrix exists if the smallest singular value of A - p I is at most the distance. Each point is given by its real part
-    and its imaginary part.
+    A singular matrix exists within this distance if the smallest singular value of A - p I is at most the distance. Each point
+    is given by its real part and its imaginary part.
     """
     points = list(points)
     # A delay adds many states. A Schur form is therefore computed once, so that the bound at each point takes far less time.
@@ -235,7 +237,7 @@ def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: 
 
 
 class _Triangle:
-    """Schur form T of a matrix, divided into k x k blocks, called parts."""
+    """Schur form T of a matrix, divided into blocks (called parts) of size k x k."""
 
     def __init__(self, A: Array) -> None:
         T = linalg.rsf2csf(linalg.schur(A)[0], np.eye(len(A)))[0]
@@ -321,7 +323,8 @@ def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[com
 
 
 def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[str]:
-    """Explains why no controller can stabilise the plant. The returned list is empty if no single mode prevents stabilisation.
+    """Explains why no controller can stabilise the plant, as a list of reasons. The returned list is empty if no single mode
+    prevents stabilisation.
 
     Args:
         plant: plant to check. If the plant has no measurements, every state counts as measured.
@@ -344,7 +347,8 @@ def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[s
 
 
 def static_feedback_obstructions(plant: Plant) -> list[str]:
-    """Explains why no static output feedback stabilises the plant. The returned list is empty if no reason is known.
+    """Explains why no static output feedback stabilises the plant, as a list of reasons. The returned list is empty if no
+    reason is found.
 
     The plant must be stabilisable and detectable. A gain K changes the sum of the poles by tr(K C_y B), and multiplies the
     product of the poles by det(I - K C_y (-A)^-1 B). For a discrete plant, both relations hold for the poles of
@@ -396,5 +400,5 @@ def _fixed_poles(A: Array, B: Array, Cy: Array) -> list[float]:
 
 
 def largest(vector: Array, names: Sequence[str]) -> str:
-    """Returns the name of the state that has the largest entry in an eigenvector."""
+    """Returns the name of the state with the largest entry in an eigenvector."""
     return names[int(np.argmax(np.abs(vector)))]

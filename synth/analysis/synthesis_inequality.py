@@ -1,4 +1,4 @@
-"""Inequality of a plant by Gahinet and Apkarian, from which the controller is eliminated, in exact integers and in floats.
+"""Inequality of a plant by Gahinet and Apkarian, which does not contain the controller, in exact integers and in floats.
 
 For state feedback, LMI (21) has a solution Y if and only if N' M N < 0, where M is the left side of (21) at Y = 0. Here N is a
 basis of all q with [B; D]' q = 0 (the elimination lemma; Gahinet, Apkarian 1994). For output feedback from y = C_y x + Dyw w,
@@ -99,9 +99,9 @@ class SynthesisInequality:
 
     Attributes:
         J: matrix of integers whose rows are orthogonal to the directions without cost, shape (a, n).
-        coordinates: indices of those a states whose columns of J form a diagonal matrix.
-        U, Q, b, c: matrices of integers, shapes (k, a), (k, a), (k, r), (k, d). The inequality uses these matrices divided by
-            `scale`; Q and b are also divided by `unit`.
+        coordinates: indices of those a states for which the columns of J form a diagonal matrix.
+        U, Q, b, c: matrices of integers, shapes (k, a), (k, a), (k, r), (k, d). In the inequality, these matrices of integers
+            are divided by `scale`; Q and b are also divided by `unit`.
         unit, scale: powers of two by which the matrices of integers are divided.
         N: integer matrix, shape (n + d, k), whose columns are a basis of all q with [B; D]' q = 0 that are orthogonal to the
             directions without cost.

@@ -75,9 +75,9 @@ class ScaledGain:
         plant: plant in continuous time with n states, m inputs, d outputs z, r disturbances w and q measurements.
         K: nominal gain, shape (m, q).
         before: gain K0 that is subtracted from every gain, shape (m, q); see `mapped` in `plant/discrete.py`.
-        readings, forces: number of columns of K that belong to measurements, and number of rows that belong to forces. The
-            columns of the measurements and the rows of the forces come first. The remaining columns and rows belong to the
-            states of the control law.
+        readings, forces: number of those columns of K that belong to measurements, and number of those rows that belong to
+            forces. The columns of the measurements and the rows of the forces come first. The remaining columns and rows belong
+            to the states of the control law.
     """
 
     plant: Plant
@@ -99,7 +99,7 @@ class ScaledGain:
         """Returns the gains that act on C_y x + Dyw w, shape (..., m, q), for factors of shape (..., q + m).
 
         Raises:
-            LinAlgError: an algebraic loop through the measurements is not well-posed.
+            LinAlgError: the algebraic loop through the measurements is not well-posed for some factors.
         """
         K = self.scaled(factors)
         return np.linalg.solve(self.return_difference(K), K) if np.any(self.plant.Dyu) else K
@@ -122,7 +122,7 @@ class ScaledGain:
         """Returns [A Bw; C Dw] of the closed loops, shape (..., n + d, n + r), for factors of shape (..., q + m).
 
         Raises:
-            LinAlgError: an algebraic loop through the measurements is not well-posed.
+            LinAlgError: the algebraic loop through the measurements is not well-posed for some factors.
         """
         system, inputs, outputs = self._parts
         return system + inputs @ (self.acting(factors) @ outputs)
@@ -140,7 +140,7 @@ class ScaledGain:
     def sizes(self, factors: Array) -> Array:
         """Returns the sums that `loops` computes, but with the absolute value of every term.
 
-        Rounding errors are proportional to the returned sums.
+        The rounding errors of `loops` are proportional to the returned sums.
         """
         scaled = np.abs(self.scaled(factors)) + 2 * np.abs(self.before)
         if np.any(self.plant.Dyu):

@@ -30,7 +30,7 @@ class CrossCheck:
     """Comparison of a design with the solution that Clarabel finds.
 
     Attributes:
-        problem: number of the problem, "(22)" or "(25)".
+        problem: number of the problem in the paper, "(22)" or "(25)".
         ours: optimal gamma that the central path gives.
         optimum_gap: relative gap between the gamma of the designed gain and the optimal gamma `ours`.
         theirs: optimal gamma from Clarabel; None if Clarabel failed.
@@ -85,7 +85,8 @@ SHARE = Field[CrossCheck]("difference", lambda one: one.apart, ".0e")
 
 
 def cross_check(designer: Designer, controller: Controller, zero_l: bool = False) -> CrossCheck | None:
-    """Solves the design problem of a controller again with Clarabel. Returns None if the design did not solve (22) or (25).
+    """Solves the design problem of a controller once more, with Clarabel. Returns None if the design did not solve (22) or
+    (25).
 
     Args:
         designer: designer of the vehicle.

@@ -51,10 +51,11 @@ class Designs:
     Attributes:
         vehicle: vehicle of the controllers.
         rows: rows of the table, one for each controller.
-        limit: part of the norm that no control force can change, which is a lower bound for all controllers.
+        limit: part of the norm that no control force can change; this part is a lower bound for all controllers.
         plant: generalized plant for which `limit` holds.
-        flat: changes of the state-feedback gain on each state that hardly increase gamma; see `_flatness`.
-        passive: expected ride (weighted acceleration) of the passive suspension [m/s2]; None if no expected ride is defined.
+        flat: changes of the gain of the state feedback on each state that hardly increase gamma; see `_flatness`.
+        passive: expected ride (weighted acceleration) of the vehicle with passive suspension [m/s2]; None if no expected ride
+            is defined.
         expected_rides: expected ride [m/s2] of a vehicle with persons, by point and by controller; points where a person sits
             come first.
         without: norm of the vehicle without control; infinite if the vehicle is not damped.
@@ -132,9 +133,9 @@ def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> De
 
 
 def _design_row(designer: Designer, name: str, options: Namespace, stage: Stages, alone: bool) -> Row:
-    """Returns the table row of a designed controller, including the norm of the sampled-data loop.
+    """Returns the table row of a designed controller, including the norm of its sampled-data loop.
 
-    If the design fails and other controllers are requested, too, the row contains the failure.
+    If the design fails and other controllers are also requested, the row contains the failure.
     """
     stage(f"controller {name}")
     try:
@@ -153,7 +154,7 @@ def _design_row(designer: Designer, name: str, options: Namespace, stage: Stages
 
 
 def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Row:
-    """Returns the row of a designed controller, or the row of a failed design."""
+    """Returns the table row of a designed controller, or the row of a failed design."""
     if options.refine and name != "passive":
         return _refined_row(designer, name, options.zero_l)
     try:
@@ -199,7 +200,9 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
 
 
 def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
-    """Adds the expected ride and the margins of the law to a row and, if requested, the tolerated gain errors."""
+    """Adds the expected ride and the stability margins of the law to a row of the table and, if requested, the tolerated gain
+    errors.
+    """
     controller = row.controller
     if controller is None:
         return row
@@ -218,8 +221,8 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     integrals of measurements, because the state-feedback law then has states.
 
     Returns:
-        For each state, the largest gain that acts on this state, and the allowed decrease and increase of this gain; None if
-        unlimited.
+        For each state, the largest gain that acts on this state, and how far this gain may decrease and increase; None if
+        without limit.
     """
     if designer.vehicle.integrals:
         return {}
@@ -329,7 +332,7 @@ def document(designs: Designs, options: Namespace, in_table: bool = False) -> Do
 
 
 def _worse(designs: Designs) -> tuple[Statement, ...]:
-    """Returns a warning about designs that minimise the norm but have a larger norm than the vehicle without control."""
+    """Returns a warning about designs that minimise the norm but whose norm is above that of the vehicle without control."""
     entries, norms = designs.vehicle.controllers, dict[str, float]()
     for row in designs.rows:
         entry, certificate = entries.get(row.name), row.certificate
@@ -370,19 +373,19 @@ def _rides_at(designs: Designs, at: str, known: Mapping[str, float | None]) -> t
 
 
 def _without_ride(designs: Designs) -> dict[str, str]:
-    """Returns the stable controllers for which no expected ride is defined, by name, each with the reason."""
+    """Returns, by name, the stable controllers for which no expected ride is defined, each with the reason."""
     some = {row.name: row.controller for row in designs.rows if row.controller is not None and row.ride is None}
     return {name: why for name, controller in some.items() if (why := no_line(designs.vehicle, controller))}
 
 
 def _at_least(share: float) -> str:
-    """Returns a fraction in percent, rounded down to two digits."""
+    """Returns a fraction as a percentage, rounded down to two digits."""
     unit = 10.0 ** (math.floor(math.log10(share)) - 1)
     return percent(math.floor(share / unit) * unit)
 
 
 def verdict(rows: Sequence[Row]) -> Statement:
-    """Returns the verdict on the controllers: which have claims that fail, and which have an unstable sampled-data loop."""
+    """Returns the verdict on the controllers: whose claims fail, and whose sampled-data loop is unstable."""
     wrong = [f"{row.name} {'is not designed' if row.controller is None else 'FAILS'}" for row in rows if row.failures]
     text = f"every claim holds for {len(rows)} controller{'s' * (len(rows) != 1)}"
     text = f"not every claim holds: {', '.join(wrong)}" if wrong else text

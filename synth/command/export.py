@@ -31,7 +31,7 @@ RANGES = (1e-9, 1e9)  # smallest and largest allowed range; a range is the large
 
 
 def export(vehicle: Vehicle, options: Namespace) -> int:
-    """Writes the folder or the file that `--export` names, prints its contents, and returns the exit code.
+    """Writes the folder or the file that `--export` names, prints what it contains, and returns the exit code.
 
     Raises:
         InputError: a controller is unknown or cannot be exported in this form, or the folder or file cannot be written.
@@ -65,7 +65,7 @@ def _law(vehicle: Vehicle, options: Namespace, prefix: Callable[[str], str]) -> 
 
 
 def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str]]:
-    """Writes the folder of one controller. Returns the contents of the folder for JSON, and as lines of text."""
+    """Writes the folder of one controller. Returns the contents of the folder, both for JSON and as lines of text."""
     folder: Path = options.export
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"--export {folder} exists and is not empty; give another folder, or remove it")
@@ -296,7 +296,7 @@ def _claims(vehicle: Vehicle, name: str) -> str | list[str]:
 def _back_to_back(folder: Path, prefix: str) -> tuple[str, bool]:
     """Runs the compiled code on the test vectors. Returns the result of the run as text, and False if an output is wrong.
 
-    Without a compiler, the code cannot be run, but the check does not count this as a wrong output.
+    Without a compiler, the code cannot be run; the check does not count this as a wrong output.
     """
     try:
         command = compiler()

@@ -1,4 +1,6 @@
-"""`--picture`: figure of the gain from the road to z as a function of frequency, with the frequency bands of goals."""
+"""`--picture`: figure of the gain from the road to z as a function of frequency; the figure also shows the frequency bands of
+goals.
+"""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Saves designs as controllers of a vehicle file, each with its law and certificate."""
+"""Saves designs as controllers of a vehicle file, each with its law and its certificate."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -50,7 +50,7 @@ def save(
     Args:
         path: path of the vehicle file to be written.
         vehicle: vehicle of the controllers.
-        controllers: controllers, of which only the designed controllers are written.
+        controllers: controllers of the vehicle, of which only the designed controllers are written.
         sampled_bounds: lower bounds for sampled-data loops, by name of the controller.
 
     Raises:
@@ -99,7 +99,7 @@ def controller_section(
         vehicle: vehicle of the controller.
         controller: controller to be written.
         name: name of the section.
-        sampled_bound: lower bound of the sampled-data loop; None if no such bound is known.
+        sampled_bound: lower bound for the sampled-data loop; None if no such bound is known.
     """
     own = vehicle.with_actuators_of(controller.name)
     norm, _ = norm_or_failure(own, controller)

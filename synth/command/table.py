@@ -65,17 +65,17 @@ class Row:
 
     Attributes:
         name: name of the controller.
-        controller: controller of the row; None if its design failed.
-        notes: sentences about the design of the controller and its results.
+        controller: controller that the row describes; None if its design failed.
+        notes: sentences about the design of the controller and about its results.
         failures: texts of the claims that do not hold, or the reason why the design failed.
         worth: low estimate of the relative amount by which `--refine` would reduce the norm; 0 if this amount is negligible.
         witness: result of the cross-check with the solver Clarabel; None if no cross-check was requested.
         sampled: norm of the sampled-data loop; None if the vehicle file describes no implementation.
-        sampled_below: lower bound on `sampled` for all controllers with the measurements of this controller; None if the
-            controller is not designed for the sampled-data loop.
+        sampled_below: lower bound on `sampled` for all controllers with the same measurements; None if the controller is not
+            designed for the sampled-data loop.
         fragile: gain errors that the controller tolerates; None if this result was not requested.
         answers: sentences with the results that the user requested by options; `notes` also contains these sentences.
-        ride: expected weighted acceleration on an average road [m/s2]; None if no expected ride is defined.
+        ride: expected weighted acceleration on a road of average quality [m/s2]; None if no expected ride is defined.
         refined: True if the controller was refined; the short output then contains the gain of the controller, too.
         margins: stability of the law itself, and the stability margins of the closed loop if they are small; None if there is
             no law.
@@ -140,7 +140,7 @@ ABOVE_LEVEL = Field[Row]("above that", lambda row: row.sampled_gap, percent)
 
 
 def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Plant, apart: bool = False) -> Document:
-    """Returns a document with the table of designs, the limit for every design, and notes about the loops.
+    """Returns a document with the table of designs, the limit that holds for every design, and notes about the loops.
 
     Args:
         vehicle: vehicle of the controllers.
@@ -238,7 +238,7 @@ def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Sta
 
     Args:
         rows: rows of the table, one for each controller.
-        gains: False to omit the gains and specifications of the controllers, except the gains of refined controllers.
+        gains: False to omit gains and specifications, except the gains of refined controllers.
         checked: True to describe the result of `--check`, too.
     """
     own = without_copies(row.name for row in rows)
@@ -324,7 +324,7 @@ def _goals(row: Row) -> str | None:
 
 
 def _least_damped(row: Row) -> complex | None:
-    """Returns the pole of a loop that has the smallest damping ratio."""
+    """Returns the pole with the smallest damping ratio of a loop."""
     return min(_poles(row.controller), key=DAMPING.value, default=None) if row.controller is not None else None
 
 
@@ -339,7 +339,7 @@ LOOPS: tuple[Field[Row], ...] = (
 
 
 def loop_table(rows: Sequence[Row]) -> Table:
-    """Returns the table of the poles of all loops, for controllers whose details do not fit on a screen."""
+    """Returns a table of the poles of all loops, for controllers whose details do not fit on a screen."""
     return Table.of("loops", "Poles of all loops.", [replace(one, detail="normal") for one in LOOPS], rows, detail="full")
 
 

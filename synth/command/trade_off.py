@@ -28,8 +28,8 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     """Runs the command. Returns the exit code.
 
     Raises:
-        InputError: an axis is invalid, no front can be computed for the controller, a point does not exist, or a file cannot be
-            written.
+        InputError: an axis is invalid, no trade-off can be computed for the controller, a point does not exist, or a file
+            cannot be written.
     """
     axes = axes_of(vehicle, options.front)
     name = _name(vehicle, options.controller)
@@ -80,7 +80,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
 def others_of(vehicle: Vehicle) -> list[str]:
     """Returns the names of the linear controllers that are shown together with a trade-off front.
 
-    Controllers that are designed for goals are omitted, because the design of each one takes seconds.
+    Controllers that are designed for goals are omitted, because the design of each controller takes seconds.
     """
     return [
         name

@@ -110,8 +110,8 @@ def _upper(sizes: tuple[int, ...]) -> tuple[Array, Array, Array]:
     """Returns indices into a flat symmetric matrix with blocks of the given sizes, and weights of the entries.
 
     Returns:
-        Indices of the entries in the upper triangles of the blocks, indices of the diagonal entries, and weights of the upper
-        triangles. With these weights, the norm of a triangle equals the norm of its symmetric matrix.
+        Indices of the entries in the upper triangles of the blocks, indices of the diagonal entries, and weights of the entries
+        in the triangles. With these weights, the norm of a triangle equals the norm of its symmetric matrix.
     """
     of = np.repeat(np.arange(len(sizes)), sizes)
     rows, columns = np.nonzero(np.triu(of[:, None] == of))
@@ -119,7 +119,7 @@ def _upper(sizes: tuple[int, ...]) -> tuple[Array, Array, Array]:
 
 
 class Logarithm(NamedTuple):
-    """Term weight * log(p_N) of a barrier, described by its weight, its slope 1 / p_N, and a factor on the last diagonal entry
+    """Term weight * log(p_N) of a barrier, described by the weight, the slope 1 / p_N, and a factor on the last diagonal entry
     of R^-1.
     """
 
@@ -159,7 +159,7 @@ class FactoredDerivatives(ABC):
         """Returns the eigenvalues r of the step: from p to p + t step, log det changes by the sum of log(1 + t r)."""
 
     def rates(self, step: Array) -> Array:
-        """Returns the eigenvalues of `block_rates`, followed by the rate of the logarithm of the last unknown, if present."""
+        """Returns the eigenvalues of `block_rates` and, if present, the rate of the logarithm of the last unknown."""
         rates = self.block_rates(step)
         return rates if self.logarithm is None else np.append(rates, self.logarithm.slope * step[-1])
 
@@ -191,7 +191,7 @@ class Local(FactoredDerivatives):
     """Derivatives of a `Barrier` at a point.
 
     Attributes:
-        W: matrices L^-1 F_i L^-T of every block with k rows, where the block at the point is L L', shapes (N, k k).
+        W: matrices L^-1 F_i L^-T of every block with k rows, where L L' is the block at the point, shapes (N, k k).
         numbers: values L^-1 F_i L^-T of the k one-row blocks that are not joined with other blocks, shape (N, k); None if there
             are no one-row blocks.
     """
@@ -260,8 +260,8 @@ def newton(
         p: feasible starting point, shape (N,).
         c: linear cost, shape (N,).
         tolerance: Newton decrement below which the iteration stops.
-        leave: function that returns True if the coordinates must be changed at a point, so that the iteration must stop.
-        here: derivatives of the barrier at the starting point, if they are known.
+        leave: function that returns True if the coordinates must be changed at a point, so that the iteration stops there.
+        here: derivatives of the barrier at the starting point, if they are known already.
 
     Returns:
         The point of the minimum, its Newton decrement, and the derivatives at this point. Callers must check the Newton
@@ -293,7 +293,7 @@ def newton(
 
 
 def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
-    """Returns the t > 0 that minimises slope * t - sum(weights * log(1 + t * rates)); the method is Newton's, within an
+    """Returns the t > 0 that minimises slope * t - sum(weights * log(1 + t * rates)), which Newton's method finds within an
     interval.
     """
     high = 1 / -rates.min() if rates.min() < 0 else np.inf
@@ -333,7 +333,7 @@ SURE = 1.1  # safety factor on the distance between the last unknown, at a point
 
 
 def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close: float = np.inf) -> Array:
-    """Minimises the last unknown along the central path.
+    """Minimises the last unknown by following the central path.
 
     The path ends when the last unknown is below `enough`, or when the smallest possible value of this unknown is certainly
     above `enough`.
@@ -341,7 +341,7 @@ def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close:
     Args:
         barrier: barrier of the constraints.
         p: feasible point whose last unknown is above `enough`.
-        rows: total number of rows of all blocks of the barrier.
+        rows: total number of rows in all blocks of the barrier.
         enough: value of the last unknown below which the path ends.
         close: distance of the last unknown from its smallest possible value at which the path ends, if that value is certainly
             above `enough`.

@@ -7,10 +7,10 @@ solver. The design is therefore defined as the limit, for mu -> 0, of the unique
     maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta))
 
 The limit depends neither on a solver nor on state coordinates, input units or the time unit, because such changes only add
-constants to the logarithms. The gains published in the paper are equal to this limit.
+constants to the logarithms. The gains published in the paper are equal to the gains at this limit.
 
 The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11); each step starts with a predictor
-along the tangent of the path in mu. Two changes of coordinates keep all numbers near 1. In the state coordinates T = [Q R],
+along the tangent of the path in mu. Two changes of coordinates keep all numbers close to 1. In the state coordinates T = [Q R],
 equation (12) becomes X = diag(X_Q, X_R) and Y = [0 Y_R]. State feedback is the case of an empty Q and R = I. At each point of
 the path, the coordinates are changed again so that X = I and Y = 0. The gain at the current point then becomes part of the
 plant.
@@ -92,7 +92,7 @@ class CentralPoint:
 
     @property
     def gamma(self) -> float:
-        """Bound gamma = eta^-1/2 that the point proves, as in (23) and (26)."""
+        """Bound gamma = eta^-1/2 that the point of the path proves, as in (23) and (26)."""
         return self.eta**-0.5
 
     def in_units(self, states: Array, inputs: Array, measured: Array) -> "CentralPoint":
@@ -117,7 +117,7 @@ def central_path(plant: Plant, Q: Array, R: Array, mu: float = LIMIT) -> list[Ce
     Args:
         plant: plant with n states and m inputs.
         Q: matrix of shape (n, n - q).
-        R: matrix of shape (n, q), such that [Q R] is regular.
+        R: matrix of shape (n, q) for which [Q R] is invertible.
         mu: value of mu / eta at which the path ends. The default is close to the limit; a larger value ends the path farther
             from the optimum.
 
@@ -314,8 +314,8 @@ class PathPoint:
         """Follows the path until mu / eta reaches `mu_end`, and yields the points at which mu / eta has a value in `RESTS`.
 
         At the points in `RESTS`, mu / eta is fixed instead of mu. To fix mu / eta, log(eta) eta / mu replaces eta / mu in the
-        objective. The points are therefore independent of units and of the first point of the path. Some of these points are
-        designs, or define the matrix L of (14).
+        objective. The points are therefore independent of units and of the first point of the path. Some of the points in
+        `RESTS` are designs, or define the matrix L of (14).
         """
         rest, moves = max(FIRST, mu_end), 0
         barrier, start, here = self._entered(rest)
@@ -430,9 +430,9 @@ class PathPoint:
         self.basis = Basis(system, n, m, a, self.step)
 
     def _gain(self, X: Array, Y: Array) -> Array:
-        """Returns the gain at the current point, expressed in the coordinates in which the path started:
+        """Returns the gain at the current point, expressed in the coordinates in which the path started.
 
-        Y_R X_R^-1 plus the gain that the plant has absorbed so far.
+        The gain is Y_R X_R^-1 plus the gain that has become part of the plant so far.
         """
         a = self.free
         return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
@@ -441,6 +441,6 @@ class PathPoint:
 def next_rest(mu: float, mu_end: float) -> float:
     """Returns the next value of mu / eta on the path, which is the next value in `RESTS` or a value on the way to mu_end.
 
-    The values in `RESTS` are the same for every plant.
+    The values in `RESTS` are the same for all plants.
     """
     return min(max((rest for rest in RESTS if mu_end < rest < 0.5 * mu), default=mu_end), 0.5 * mu)

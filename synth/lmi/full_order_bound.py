@@ -58,13 +58,13 @@ def find_lower_bound(
             state feedback. The bound for state feedback also holds for output feedback, but the bound for output feedback may
             be higher.
         path: points of the central path of `state_feedback` for this plant; empty if not computed yet.
-        beyond_control: bound that `bound_beyond_control` returns; None if not computed yet.
+        beyond_control: bound that the function `bound_beyond_control` returns; None if not computed yet.
         Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
 
     Returns:
-        The lower bound with its proof; `gamma` is 0 if nothing is proved. If w acts on y, and there is a non-decaying mode on
-        which w does not act, the LMIs do not have a strictly feasible point. Without a strictly feasible point, only zeros and
-        the invariant point can prove a bound, and `reason` describes the mode.
+        The lower bound with its proof; `gamma` is 0 if nothing can be proved. If w acts on y, and there is a non-decaying mode
+        on which w does not act, the LMIs do not have a strictly feasible point. Without a strictly feasible point, only zeros
+        and the invariant point can prove a bound, and `reason` describes the mode.
 
     Raises:
         InputError: C_y or Dyw does not fit the plant; see `Plant.measured`.
@@ -176,7 +176,7 @@ def _unmeasured_disturbance_bound(plant: Plant, dual: Plant) -> LowerBound:
 
 
 def _of_state_feedback(plant: Plant, path: Sequence[CentralPoint]) -> list[tuple[DualCertificate, None, float]]:
-    """Returns dual certificates along the path of (22), even if the end of the path cannot be reached."""
+    """Returns dual certificates for points along the path of (22), even if the end of the path cannot be reached."""
     points = [point for point in path if point.mu > 0.5 * STATE_END]
     if not path:
         n = len(plant.A)
@@ -195,8 +195,8 @@ def _sharpest(
     other: SynthesisInequality | None,
     points: Sequence[tuple[DualCertificate, DualCertificate | None, float]],
 ) -> LowerBound:
-    """Returns the largest lower bound that points of a path prove. The search starts at the last point of the path and goes
-    back to earlier points.
+    """Returns the largest lower bound that is proved by points of a path. The search starts at the last point of the path and
+    goes back to earlier points.
 
     The search ends at the first point for which the proof loses no digits to rounding.
     """
@@ -321,7 +321,9 @@ class _ProjectedLmi:
         return 0.5 / (float(np.linalg.norm(np.linalg.solve(factor, self.b), 2)) ** 2 or 0.5)
 
     def steps(self) -> Array:
-        """Returns the coefficients of the unknowns of X in the matrix -He(Q X U'), shape (N, k, k), where He(M) = M + M'."""
+        """Returns the coefficients that the unknowns of X have in the matrix -He(Q X U'), shape (N, k, k), where He(M) = M +
+        M'.
+        """
         U, Q = self.U @ self.T, self.Q @ self.T
         half = np.einsum("ki,li->ikl", Q[:, self.rows], U[:, self.columns])
         half[self.rows != self.columns] += np.einsum("ki,li->ikl", Q[:, self.columns], U[:, self.rows])[self.rows != self.columns]

@@ -7,7 +7,7 @@ constraint of the central path has the form
 
 with the unknowns X (symmetric and block diagonal), Y and p_N. Let P = S^-1. The second derivative of -log det S for changes of
 [X; Y] along the unit matrices e_p e_q' and e_s e_t' is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P L, r = L' P L and
-a = R' P R. The derivative thus consists of products of entries of three small matrices.
+a = R' P R. The second derivative thus consists of products of entries of three small matrices.
 
 If S is nearly singular, the rounding errors of the largest terms of the Hessian would be larger than the remaining terms.
 Therefore, the sums that form the Hessian omit the part of P that belongs to the smallest eigenvalues of S. Householder
@@ -108,7 +108,7 @@ class _Run:
     Attributes:
         row: index of the row.
         others: column indices of the unknowns in this row.
-        begin, end: range of indices of the row's unknowns in the vector of unknowns.
+        begin, end: range of indices that the row's unknowns have in the vector of all unknowns.
         upper, lower: positions of the unknowns of X, starting with the index `begin`, and of their mirror images. The positions
             refer to a flat square matrix with the rows and columns `row` to n.
     """
@@ -209,7 +209,8 @@ class StructuredBarrier:
         return self.weight * (Z[self.rows, self.columns] + self.twice * Z[columns, rows])
 
     def _rows(self, part: Constraint, U: Array, count: int) -> Array:
-        """Returns rows as in `barrier.Barrier.at`, for all pairs of columns of U that contain one of the first `count` columns.
+        """Returns the same rows as `barrier.Barrier.at`, for all pairs of columns of U that contain one of the first `count`
+        columns.
 
         The result has one column per unknown, shape (.., N).
         """

@@ -10,7 +10,8 @@ from synth.plant.generalized import Plant
 
 
 class Basis:
-    """The N unknowns p = (X_Q, X_R, Y_R, eta) and their coefficient matrices, in coordinates in which (12) is block diagonal.
+    """The N unknowns p = (X_Q, X_R, Y_R, eta) of an LMI problem and their coefficient matrices, in coordinates in which (12) is
+    block diagonal.
 
     The basis belongs to one plant, or to several plants of the same shape that are stacked along leading axes (...).
 
@@ -36,13 +37,13 @@ class Basis:
 
     @classmethod
     def of(cls, plant: Plant, free: int, step: float = 0.0) -> "Basis":
-        """Returns the unknowns and coefficient matrices for one plant."""
+        """Returns the unknowns and their coefficient matrices for one plant."""
         n, m = plant.B.shape
         return cls(plant.system_matrix, n, m, free, step)
 
     @property
     def plant(self) -> Plant:
-        """Plant to which the basis belongs, if the basis is not for a stack of plants."""
+        """Plant to which the basis belongs, if the basis belongs to only one plant."""
         n, m = self.n, self.n + self.m
         top, low = self.system[:n], self.system[n:]
         return Plant(top[:, :n], top[:, n:m], top[:, m:], low[:, :n], low[:, n:m], low[:, m:])
@@ -95,7 +96,8 @@ class Basis:
 def places(n: int, m: int, free: int) -> tuple[Array, Array]:
     """Returns the row and column indices in the matrix [X; Y] of all unknowns except eta.
 
-    The unknowns of X_Q and X_R on and above the diagonal come first, row by row. The unknowns of Y_R follow, also row by row.
+    The unknowns of X_Q and X_R on and above the diagonal come first, row by row. The unknowns of Y_R follow those of X_R, also
+    row by row.
     """
     rows, columns = np.triu_indices(n)
     inside = (rows >= free) | (columns < free)  # False for entries that would couple the two blocks of the matrix

@@ -97,13 +97,13 @@ class UnobservableReduction:
 
 
 def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> UnobservableReduction | None:
-    """Removes states that can be made unobservable in z without violating (12). Returns None if no states can be made
+    """Removes those states that can be made unobservable in z without violating (12). Returns None if no states can be made
     unobservable.
 
     Args:
         plant: plant with n states, without measurements.
         Q: matrix of shape (n, n - q).
-        R: matrix of shape (n, q), such that [Q R] is regular.
+        R: matrix of shape (n, q) for which [Q R] is invertible.
         step: sample period of a discrete plant [s]; 0 for a continuous plant.
     """
     a = Q.shape[1]
@@ -135,7 +135,8 @@ def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> Unobse
 
 
 def _invariant_bases(plant: Plant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
-    """Returns bases of V_q and V_r, whose sum is the largest (A + B F)-invariant subspace of V with the following structure.
+    """Returns bases of the spaces V_q and V_r, whose sum is the largest (A + B F)-invariant subspace of V with the following
+    structure.
 
     V_q lies in the first `a` coordinates and satisfies F V_q = 0. V_r lies in the remaining coordinates.
     """

@@ -4,12 +4,13 @@ The states x_c of the law become integrators with their own inputs v (El Ghaoui,
 
     [u; v] = [D_c, C_c; B_c, A_c] [C_y x; x_c].
 
-For a discrete plant, the law is also discrete: x_c[k+1] = v[k]. A measured disturbance passes directly through the law. The
-effect of the measured disturbance through the law is therefore part of Bw and Dw of the larger plant.
+For a discrete plant, the law is also discrete, with the states x_c[k+1] = v[k]. A measured disturbance passes directly through
+the law. The effect of the measured disturbance through the law is therefore part of Bw and Dw of the larger plant.
 
-A design handles only constant weights. A weight that depends on frequency is therefore a filter, whose states are added to the
-plant. A filter in series with an output weights the output. A filter in series with a disturbance shapes the spectrum of the
-disturbance. A filter in series with an input models the actuator. A filter is a `Plant` without inputs, from w to z.
+A design handles only constant weights. A weight that depends on frequency is therefore represented by a filter, whose states
+are added to the plant. A filter in series with an output weights the output. A filter in series with a disturbance shapes the
+spectrum of the disturbance. A filter in series with an input models the actuator. A filter is a `Plant` from w to z without
+control inputs.
 
 - `transfer_function`: system from a ratio of polynomials in s
 - `series`, `append`: systems connected in series, or in parallel with separate signals
@@ -30,7 +31,7 @@ from synth.plant.state_space import StateSpace
 
 
 def closed_by(plant: Plant, law: LinearLaw) -> Plant:
-    """Returns the closed loop with a law on y, from w to z and without an input.
+    """Returns the closed loop of the plant and a law on y, from w to z and without an input.
 
     The result is the same as that of `Plant.closed`, but takes only a fifth of the time.
 

@@ -2,12 +2,12 @@
 
 Tustin's map s = (2 / dt) (z - 1) / (z + 1) maps the unit circle to the imaginary axis, and the inside of this circle to the
 left half plane. A discrete loop and the continuous image of this loop therefore have the same stability and norm. A matrix X
-that satisfies the bounded-real LMI (20) for the loop also satisfies it for the image, up to a factor dt. The measurements of
+that satisfies the bounded-real LMI (20) for the loop also satisfies (20) for the image, up to a factor dt. The measurements of
 the image contain inputs and disturbances: y = C_y x + Dyw w + Dyu u. The gain stays the same, but the loop of the gain and the
-    image contains an algebraic loop.
+image contains an algebraic loop.
 
 A pole at z = -1 has no finite image. If the plant has a pole at z = -1, a gain K0 that moves this pole is applied first. The
-plant with the gain K0 is then mapped. A gain K of the plant corresponds to the gain K - K0 of the image.
+plant with the gain K0 is then mapped to its image. A gain K of the plant corresponds to the gain K - K0 of the image.
 
 The frequency response Dw + C (z - A)^-1 Bw of a discrete loop is computed with twice the digits of floats. The frequency is
 given by the float t = tan(omega dt / 2). The point z = (1 + j t) / (1 - j t) is then exactly on the unit circle, without the
@@ -104,11 +104,11 @@ def _tustin(A: Array, B: Array, C: Array, D: Array, step: float) -> tuple[Array,
 
 
 def _away_from_minus_one(plant: Plant) -> Array:
-    """Returns a gain K0 for which the loop has no pole near z = -1, shape (m, q). K0 is zero if the plant has no pole near z = -1.
+    """Returns a gain K0 for which the loop has no pole near z = -1, shape (m, q). K0 is zero if the plant has no such pole.
 
-    K0 does not depend on the units of states, inputs or measurements. There is one exception: if a pole is almost exactly at
-    the limit LEAST_SINGULAR_VALUE, the result depends on the powers of two that balancing chooses. If the plant is given in
-    coordinates that mix its states, K0 may differ.
+    K0 does not depend on the units of states, inputs or measurements. K0 depends on the units in one case only: if a pole is
+    almost exactly at the limit LEAST_SINGULAR_VALUE, the powers of two from balancing matter. If the plant is given in
+    coordinates that mix its states, K0 may also differ.
     """
 
     def lost(K: Array) -> float:
@@ -134,8 +134,8 @@ def _reach(plant: Plant) -> Array:
     """Returns, entry by entry, |C_y| |A|^k |B| for the smallest k at which the entry is not 0, shape (q, m); 1 if the entry is
     0 for all k.
 
-    An entry is the size of an input's first effect on a measurement. The size of this effect does not depend on the units of
-    the states.
+    An entry of the result is the size of the first effect of an input on a measurement. The size of this effect does not depend
+    on the units of the states.
     """
     spread, reach = np.abs(plant.B), np.zeros((len(plant.Cy), plant.B.shape[1]))
     for _ in range(len(plant.A)):
@@ -149,7 +149,7 @@ def response_closely(system: Plant, t: float) -> tuple[Array, float]:
 
     Args:
         system: system in discrete time, including its low-order digits `beyond`.
-        t: tan(omega dt / 2), from 0 to infinity.
+        t: value of tan(omega dt / 2), from 0 to infinity.
 
     Returns:
         The frequency response T, complex, shape (d, r), and the largest change of an entry in the last iteration.

@@ -1,8 +1,8 @@
 """Sums and products of numbers with twice the digits of floats. A number is the sum of a pair (high, low) of floats.
 
 Knuth's sum and Dekker's product are exact, because the rounding error is also a float, which is stored as `low`. Source: Ogita,
-Rump, Oishi 2005, Accurate sum and dot product. The magnitudes of all numbers must stay between about 1e-140 and 1e300, as those
-of the entries of plants do.
+Rump, Oishi 2005, Accurate sum and dot product. All numbers must have magnitudes between about 1e-140 and 1e300, like the
+entries of plants.
 """
 
 import numpy as np

@@ -38,7 +38,7 @@ class Feedback:
         Cy: matrix of the measurements, shape (q, n).
 
     Raises:
-        InputError: a matrix contains entries that are not real finite numbers, or the shapes do not fit.
+        InputError: a matrix contains entries that are not real finite numbers, or the shapes do not fit together.
     """
 
     K: Array
@@ -56,8 +56,8 @@ class Plant:
     """Linear plant with control inputs u, disturbances w, controlled outputs z and, if given, measurements y.
 
     In continuous time, x' = A x + B u + Bw w, z = C x + D u + Dw w, y = Cy x + Dyu u + Dyw w. A plant with a sample period `dt`
-    is discrete: x[k+1] replaces x'. Methods that return another plant keep the measurements unless their description states
-    otherwise.
+    is discrete: in its equations, x[k+1] replaces x'. Methods that return another plant keep the measurements unless their
+    description states otherwise.
 
     Attributes:
         A: state matrix, shape (n, n).
@@ -68,8 +68,8 @@ class Plant:
         Dw: feedthrough from the disturbances to the outputs, shape (d, r); zero in the paper.
         beyond: rounding errors of [A; C] of a closed loop (true value minus float), shape (n + d, n); None if A and C are
             exact.
-        weights: number of states that belong to weighting filters; these states are the last states of the plant. Controllers
-            cannot move the poles of these filters, so the speed of the plant does not take these poles into account.
+        weights: number of states that belong to weighting filters; they are the last states of the plant. Controllers cannot
+            move the poles of these filters, so these poles are ignored in the speed of the plant.
         dt: sample period of a discrete plant [s]; None for a continuous plant.
         Cy: matrix from the states to the q measurements, shape (q, n). Default: no measurements.
         Dyu: feedthrough from the inputs to the measurements, shape (q, m). Default: zero.
@@ -77,7 +77,7 @@ class Plant:
 
     Raises:
         InputError: a matrix has the wrong shape, too many rows or columns, or entries that are not real finite numbers between
-            `SMALLEST` and `LARGEST`. The error is also raised for an invalid `dt` or `weights`.
+            `SMALLEST` and `LARGEST`. The error is also raised if `dt` or `weights` is invalid.
     """
 
     public_name = "a GeneralizedPlant"
@@ -143,9 +143,9 @@ class Plant:
         return cls(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw, dt=dt)
 
     def unchecked(self, **parts: Any) -> "Plant":
-        """Returns the plant with new values for some attributes.
+        """Returns a copy of the plant in which some attributes have new values.
 
-        The new values must fit the other attributes; they are neither checked nor copied.
+        The new values must fit the other attributes of the plant; the values are neither checked nor copied.
         """
         plant = object.__new__(Plant)
         plant.__dict__.update({each.name: getattr(self, each.name) for each in fields(self)} | parts)
@@ -160,7 +160,7 @@ class Plant:
             Dyu: feedthrough from the inputs to the measurements, shape (q, m). Default: zero.
 
         Returns:
-            The plant with these measurements, as a `GeneralizedPlant`.
+            The plant with the measurements y, as a `GeneralizedPlant`.
 
         Raises:
             InputError: the plant has no state, or no signal is measured. The error is also raised if a matrix has the wrong
@@ -237,7 +237,7 @@ class Plant:
         return self.Dyu
 
     def rows(self, kept: Sequence[int] | Array) -> "Plant":
-        """Returns the plant with only some of its measurements, given by indices or by a mask."""
+        """Returns the plant with only some of its measurements, which are given by indices or by a mask."""
         return replace(self, Cy=self.Cy[kept], Dyu=self.Dyu[kept], Dyw=self.Dyw[kept])
 
     def with_disturbances(self, Dyw: Array) -> "Plant":
@@ -272,7 +272,7 @@ class Plant:
         )
 
     def with_law(self, law: LinearLaw) -> "tuple[Plant, Feedback]":
-        """Returns the plant with the states of a law on y, and the law as a static gain on the states of this plant.
+        """Returns the plant with the states of a law on y, and the law as a static gain of this larger plant.
 
         If y contains w, the larger plant also contains the effect of w through the law.
 
@@ -286,7 +286,7 @@ class Plant:
         return larger.unmeasured, Feedback(law_gain(law), larger.Cy)
 
     def closed(self, law: LinearLaw) -> "Plant":
-        """Returns the closed loop with a law on y; see `with_law` and `closed_loop`."""
+        """Returns the closed loop of the plant and a law on y; see `with_law` and `closed_loop`."""
         larger, gain = self.with_law(law)
         return larger.closed_loop(gain)
 
@@ -305,7 +305,7 @@ class Plant:
 
     @cached_property
     def differences(self) -> "Plant":
-        """Plant in differences, in which (x[k+1] - x[k]) / dt replaces x'.
+        """Plant in difference form, in which (x[k+1] - x[k]) / dt replaces x'.
 
         As dt decreases, the entries of the plant in differences approach those of the continuous plant.
 
@@ -343,7 +343,7 @@ class Plant:
         return replace(self, A=high[:n], C=high[n:], Cy=Cy, beyond=beyond, weights=0)
 
     def in_coordinates(self, T: Array) -> "Plant":
-        """Returns the same plant with the new state T^-1 x, for an invertible matrix T of shape (n, n)."""
+        """Returns the plant in terms of the new state T^-1 x, for an invertible matrix T of shape (n, n)."""
         inverse = np.linalg.inv(T)
         A, B, Bw = inverse @ self.A @ T, inverse @ self.B, inverse @ self.Bw
         return replace(self, A=A, B=B, Bw=Bw, C=self.C @ T, Cy=self.Cy @ T, beyond=None, weights=0)
@@ -384,12 +384,14 @@ GeneralizedPlant = Plant  # name for the public interface
 
 
 def law_gain(law: LinearLaw) -> Array:
-    """Returns [D, C; B, A] of a law, shape (m + k, q + k): its static gain on the plant of `Plant.with_states`."""
+    """Returns the matrix [D, C; B, A] of a law, shape (m + k, q + k), which is its static gain on the plant of
+    `Plant.with_states`.
+    """
     return np.block([[law.D, law.C], [law.B, law.A]]) if law.states else law.D
 
 
 def gain_law(gain: Array, m: int, q: int, dt: float | None = None) -> LinearLaw:
-    """Returns the law from its static gain [D, C; B, A]. The function is the inverse of `law_gain`."""
+    """Returns the law that has the static gain [D, C; B, A]. The function is the inverse of `law_gain`."""
     return LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q], sample_period=dt)
 
 
@@ -428,8 +430,8 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
 
     Args:
         value: array or nested lists.
-        name: name of the matrix, for error messages.
-        expected: description of the required shape, for error messages.
+        name: name of the matrix, which is used in error messages.
+        expected: description of the required shape, which is used in error messages.
 
     Raises:
         InputError: the matrix fails the check.
@@ -463,7 +465,7 @@ def check_posed(plant: Plant) -> None:
     """Checks that a plant has a disturbance and a controlled output.
 
     Raises:
-        InputError: Bw, Dw and Dyw are all zero, or C and D are both zero.
+        InputError: Bw, Dw and Dyw are all zero, or both C and D are zero.
     """
     if not (np.any(plant.Bw) or np.any(plant.Dw) or np.any(plant.Dyw)):
         zero = "Bw, Dw and Dyw" if len(plant.Dyw) else "Bw and Dw"

@@ -2,8 +2,8 @@
 
     x' = A x + B u + E d,    y = C x + D u + F d.
 
-The law computes the forces u from some of the outputs y. The other inputs d of the plant include the road, loads, measurement
-noise and forces from a road preview. In continuous time, the law acts without delay.
+The law computes the forces u from some of the plant's outputs y. The other inputs d of the plant include the road, loads,
+measurement noise and forces from a road preview. In continuous time, the law acts without delay.
 
 In discrete time, the law samples y every T seconds, just before the new force starts to act. A measurement therefore contains
 the force that acted before the sample was taken. In each part of the sample period, the acting force is a force that was
@@ -14,7 +14,7 @@ computed some samples ago. The state at a sample is
 where u[k-1], ..., u[k-p] are those previous forces that still act or that a measurement contains.
 
 In the frequency domain, a force that was computed j samples ago is the new force times exp(-j s T), where s is the Laplace
-variable. A delayed force thus needs no additional state.
+variable. A delayed force thus needs no additional state of the loop.
 """
 
 import math
@@ -37,7 +37,7 @@ LAW_STATE, REQUESTED = "law_state_", ".requested"
 @accept_former_names(late="delay_samples")
 @dataclass(frozen=True, eq=False)
 class HoldInterval(CheckedFields):
-    """Part of the sample period in which one force is held constant.
+    """Part of the sample period during which one force is held constant.
 
     Attributes:
         duration: duration of the interval [s].
@@ -49,7 +49,9 @@ class HoldInterval(CheckedFields):
 
 
 def hold_intervals(period: float, delay: float) -> tuple[HoldInterval, ...]:
-    """Returns the parts of a sample period [s] for a delay [samples]: one part, or two if the delay has a fractional part."""
+    """Returns the parts of a sample period [s] for a delay [samples]: two parts if the delay has a fractional part, otherwise
+    one.
+    """
     late = math.floor(delay)
     share = delay - late
     pieces = ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
@@ -68,8 +70,8 @@ class Loop:
         hold: parts of the sample period in chronological order, each with the delay of the acting force; empty in continuous
             time.
         step: time during which disturbances are held constant [s]; the parts of the period are multiples of this time.
-        exponential: function that computes the matrix exponential of a step. With `taylor4`, the loop predicts the steps of an
-            RK4 integrator.
+        exponential: function that computes the matrix exponential over a step. With `taylor4`, the loop predicts the steps of
+            an RK4 integrator.
     """
 
     plant: StateSpace
@@ -85,7 +87,7 @@ class Loop:
         """Law as it runs in the loop: discrete with the sample period of the loop, or in continuous time.
 
         Raises:
-            InputError: the law cannot be converted; see `LinearLaw`.
+            InputError: the law cannot be converted to the sample period of the loop, or to continuous time; see `LinearLaw`.
         """
         if not self.law.states:
             return self.law
@@ -134,7 +136,7 @@ class Loop:
 
     @cached_property
     def stored_forces(self) -> int:
-        """Number p of previous samples whose forces are states of the loop."""
+        """Number p of those previous samples whose forces are states of the loop."""
         if not self.hold:
             return 0
         measured = self.plant.D[self.plant.rows(self.measured)][:, self.plant.columns(self.forces)].any()
@@ -163,7 +165,7 @@ class Loop:
 
     @cached_property
     def open_loop(self) -> StateSpace:
-        """Open loop, which is cut at all forces.
+        """Open loop, which is cut open at all forces.
 
         The inputs of the open loop are the forces and the disturbances. The outputs are the outputs of the plant, the states of
         the law, and the forces that the law requests. In discrete time, the force inputs are the forces that are computed at a
@@ -207,7 +209,7 @@ class Loop:
         return self.open_loop.closed(self.requested_forces, self.forces)
 
     def cut(self, forces: Sequence[str]) -> StateSpace:
-        """Returns the loop from acting to requested forces, which is cut at some forces and closed at all other forces."""
+        """Returns the loop from acting to requested forces, which is cut open at some forces and closed at all other forces."""
         others = [name for name in self.forces if name not in forces]
         system = self.open_loop.closed([f"{name}{REQUESTED}" for name in others], others)
         return system.part([f"{name}{REQUESTED}" for name in forces], forces)
@@ -217,12 +219,12 @@ class Loop:
 def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], start: Array | None = None) -> Array:
     """Returns outputs of a sampled-data loop at every step, shape (..., T, p).
 
-    One recursion computes the states at the samples. The outputs at the steps between samples are then computed for all samples
-    together.
+    One recursion computes the states of the loop at all samples. The outputs at the steps between samples are then computed for
+    all samples together.
 
     Args:
         loop: sampled-data loop for which `step` is given.
-        outputs: names of p outputs. States and requested forces of the law have the values of the last sample.
+        outputs: names of p outputs. States and requested forces of the law keep the values of the last sample.
         inputs: input signals by name, each of shape (..., T). Disturbances are constant during each step. Inputs with the name
             of a force are added to the requested force at the samples.
         start: initial states of the plant, shape (n,). Default: zero.
@@ -368,7 +370,7 @@ def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, A
 
 
 def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> tuple[Array, Array]:
-    """Returns outputs of a sampled-data loop in every step of its sample period, for the inputs exp(j omega t).
+    """Returns outputs of a sampled-data loop in every step of the sample period, for the inputs exp(j omega t).
 
     The sample period starts at t = 0. Between samples, held forces cause components at additional frequencies, whereas
     `frequency_response` contains only the component at omega. The arguments are the same as those of `frequency_response`.

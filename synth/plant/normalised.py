@@ -25,12 +25,12 @@ class NormalisedPlant:
 
     Attributes:
         plant: normalised plant with n states and m independent inputs. The units of time, w and z are also normalised. The
-            matrix [Cy Dyw] has k orthonormal rows.
+            matrix [Cy Dyw] of the normalised plant has k orthonormal rows.
         norm: factor that converts a norm of the given plant to normalised units.
         independent_rows: indices of the given measurements that do not depend linearly on earlier measurements.
         q: number of measurements of the given plant.
         units: normalising units of states and inputs.
-        rate: rate that is 1 in normalised units of time [rad/s].
+        rate: rate [rad/s] that has the value 1 in normalised units of time.
         inputs: matrix W with u = W v, shape (m', m), where u are the m' given inputs in normalised units, and v the m
             independent inputs.
         rows: matrix S, shape (k, k). The given independent measurements are S times the measurements of the normalised plant.

@@ -1,4 +1,4 @@
-"""Common settings of all computations: one BLAS thread, and an error with a message if a computation fails."""
+"""Common settings of all computations: only one BLAS thread, and an error with a message if a computation fails."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

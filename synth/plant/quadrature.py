@@ -55,7 +55,7 @@ class Band:
     def turning(self, time: float) -> Array:
         """Returns complex weights for Fourier integrals, shape (F,).
 
-        `turning(t) @ f` is the integral of f exp(j omega t) over frequency [Hz]. The integral is accurate for any t [s],
+        The integral of f exp(j omega t) over frequency [Hz] is `turning(t) @ f`. The integral is accurate for any t [s],
         because f is treated as the polynomial through its nodes on each panel. The method uses the formula 2 j^l j_l(a) for the
         integral of P_l(x) exp(j a x) from -1 to 1, where P_l is a Legendre polynomial and j_l a spherical Bessel function.
         """
@@ -82,7 +82,7 @@ def sample_band(
         function: function of frequencies [rad/s] of shape (F,), which returns values of shape (F, ...).
         checked: function of frequencies, shape (F,), and of the values that `function` has at these frequencies. `checked`
             returns c nonnegative integrands whose integrals must be accurate, shape (F, c).
-        low, high: ends of the band, above 0 [rad/s].
+        low, high: ends of the frequency band, above 0 [rad/s].
         poles: poles of the function [rad/s], complex, shape (n,). The panels near poles are short.
         longest: largest length of a panel [rad/s].
     """
@@ -128,7 +128,7 @@ def _nodes(left: Array, right: Array) -> Array:
 
 
 def _estimate(integrands: Array, width: Array) -> Array:
-    """Returns the relative error estimate of every panel, shape (P,): the largest estimate among all integrals."""
+    """Returns the relative error estimate of every panel, shape (P,): the largest of the estimates for all integrals."""
     by_panel = integrands.reshape(len(width), ORDER, -1)
     whole = np.einsum("k,pkc,p->c", WEIGHTS, by_panel, width)
     last = np.abs(np.einsum("lk,pkc,p->lpc", LAST, by_panel, width)).max(axis=0)

@@ -15,7 +15,7 @@ Exponential = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """Linear system x' = A x + B u, y = C x + D u; if dt is given, x[k+1] = A x[k] + B u[k].
+    """Linear system x' = A x + B u, y = C x + D u; if dt is given, x[k+1] = A x[k] + B u[k] replaces the first equation.
 
     Attributes:
         A: state matrix, shape (n, n).
@@ -28,7 +28,7 @@ class StateSpace:
         states: names of the n states; may be empty.
 
     Raises:
-        InputError: the shapes of the matrices do not fit.
+        InputError: the shapes of the matrices do not fit together.
     """
 
     A: Array
@@ -49,7 +49,7 @@ class StateSpace:
 
     @classmethod
     def of_law(cls, law: LinearLaw) -> "StateSpace":
-        """Returns a law or a filter as a system without signal names."""
+        """Returns a control law or a filter as a system without signal names."""
         return cls(law.A, law.B, law.C, law.D, dt=law.sample_period)
 
     def rows(self, outputs: Sequence[str]) -> list[int]:
@@ -67,11 +67,13 @@ class StateSpace:
         return replace(self, B=self.B[:, columns], C=self.C[rows], D=D, inputs=tuple(inputs), outputs=tuple(outputs))
 
     def with_inputs(self, names: Sequence[str], B: Array, D: Array) -> "StateSpace":
-        """Returns the system with j more inputs, given their names and their columns of B and D, shapes (n, j) and (p, j)."""
+        """Returns the system with j more inputs, given the names of these inputs and their columns of B and D, shapes (n, j)
+        and (p, j).
+        """
         return replace(self, B=np.hstack([self.B, B]), D=np.hstack([self.D, D]), inputs=(*self.inputs, *names))
 
     def closed(self, outputs: Sequence[str], inputs: Sequence[str]) -> "StateSpace":
-        """Returns the system with feedback: each output in `outputs` is added to the input at the same place in `inputs`.
+        """Returns the system with feedback: each output in `outputs` is added to the input at the same position in `inputs`.
 
         In the result, the inputs named in `inputs` are external signals that are added to the feedback.
 
@@ -109,8 +111,8 @@ class StateSpace:
 
         Args:
             duration: time during which the inputs are held constant [s].
-            exponential: function that computes the matrix exponential. In discrete time, this function is not used: the steps
-                of the system are repeated instead.
+            exponential: function that computes the matrix exponential. In discrete time, this function is not used, because the
+                steps of the system are repeated instead.
         """
         n, k = self.B.shape
         if self.dt is None:

@@ -1,4 +1,4 @@
-"""Coordinates and units in which the matrix entries of one or more plants are near 1."""
+"""Coordinates and units in which the entries of the matrices of one or more plants are near 1."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -27,10 +27,11 @@ DEPENDENT = 1e-10  # rows of length 1 count as linearly independent if their sma
 
 
 def reachable(plant: Plant, free: int) -> Array:
-    """Returns coordinates in which the inputs and the disturbance affect all states equally, with the block structure of (12).
+    """Returns coordinates with the block structure of (12), in which the inputs and the disturbance affect all states equally.
 
-    The coordinates are the square root of a controllability Gramian, block by block. For the Gramian, A is shifted by a
-    multiple of I that is large enough to make all modes decay. Neither the shift nor the result depends on the coordinates.
+    The coordinates are computed block by block, as the square root of a controllability Gramian. For the Gramian, A is shifted
+    by a multiple of I that is large enough to make all modes decay. Neither the shift nor the result depends on the
+    coordinates.
     """
     n = len(plant.A)
     _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
@@ -48,16 +49,16 @@ def reachable(plant: Plant, free: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class OwnUnits:
-    """Units in which the matrix entries of a plant and of C_y are near 1. The units found do not depend on the units in which
-    the plant is given.
+    """Units in which the matrix entries of a plant and of C_y are near 1. The resulting units do not depend on the units in
+    which the plant is given.
 
     The units are powers of two, so that conversion in either direction causes no rounding.
 
     Attributes:
         states: unit of each state in which matrix entries are near 1, expressed in the given unit of this state, shape (n,).
         inputs: unit of each input in which matrix entries are near 1, expressed in the given unit of this input, shape (m,).
-        exact: units of states and inputs before they are rounded to powers of two, shapes (n,) and (m,). The units found do not
-            depend on the units in which the plant is given.
+        exact: units of states and inputs before they are rounded to powers of two, shapes (n,) and (m,). The resulting units do
+            not depend on the units in which the plant is given.
         rate: characteristic rate of the plant [rad/s]; see `own_units`. The units do not change the unit of time.
     """
 
@@ -105,7 +106,7 @@ def orthonormal_rows(rows: Array) -> tuple[Array, Array]:
 def independent(rows: Array) -> list[int]:
     """Returns the indices of rows that do not depend linearly on earlier rows, in ascending order.
 
-    No row may be zero. The units of the rows have no influence.
+    No row may be zero. The units of the rows have no influence on the result.
     """
     rows, _ = unit_rows(rows)
     kept: list[int] = []
@@ -134,13 +135,13 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
     outputs z. The units of w and z affect the result only if nothing else determines the speed of the plant. For example,
     integrators have the rate at which motion and driving force have the same weight in z.
 
-    The pattern of zeros in the matrices may leave some units undetermined. Undetermined units are not changed; the unit of the
-    disturbance is the first that is kept. As a result, a plant that is given in two sets of units, which differ by powers of
-    two, is identical bit for bit after conversion.
+    The pattern of zeros in the matrices may leave some units undetermined. Units that are undetermined are not changed; of
+    these units, the unit of the disturbance is kept first. As a result, a plant that is given in two sets of units, which
+    differ by powers of two, is identical bit for bit after conversion.
 
     Args:
         plant: plant with n states. For a discrete plant, the units are those of `Plant.differences`.
-        measured: True if the entries of C_y are also brought near 1.
+        measured: True if the entries of C_y are also scaled to values near 1.
     """
     Cy, plant = plant.Cy if measured else plant.Cy[:0], plant.differences
     n, (m, r, d, q) = len(plant.A), (plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(Cy))
@@ -170,16 +171,16 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
 
 
 def _powers(exponents: Any) -> Any:
-    """Returns the powers of two whose exponents are the given numbers, rounded to integers."""
+    """Returns powers of two whose exponents are the given numbers, rounded to integers."""
     return np.exp2(np.floor(exponents + UPWARDS))
 
 
 def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
     """Returns the least-squares solution in which some of the undetermined unknowns are set to 0.
 
-    Among equally undetermined unknowns, the first one is set to 0. If the whole plant is connected, all units except the rate
-    are equally undetermined. Rounding errors must not decide which of the units is set to 0. Rounding errors differ between
-    machines, and an extreme unit might then determine all other units.
+    Among units that are equally undetermined, the first one is set to 0. If the whole plant is connected, all units except the
+    rate are equally undetermined. Rounding errors must not decide which of the units is set to 0. Rounding errors differ
+    between machines, and an extreme unit might then determine all other units.
 
     Args:
         normal: matrix of the normal equations, shape (N, N).

@@ -40,7 +40,7 @@ def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = N
     Args:
         loop: closed loop in rational arithmetic.
         dt: sample period [s]; None for a continuous loop.
-        bound: upper bound that the claim states for the norm. If `bound` is None, a value just above the norm is used.
+        bound: upper bound that the claim states for the norm. If `bound` is None, the claim uses a value just above the norm.
         known: matrix X that proves the bound, shape (n, n); None if no matrix that proves the bound is known.
     """
     plain = floats(loop, dt)
@@ -81,8 +81,8 @@ def decay_claim(loop: ExactLoop, dt: float | None = None, rate: float | None = N
     Args:
         loop: closed loop in rational arithmetic.
         dt: sample period [s]; None for a continuous loop.
-        rate: rate of decay [1/s]; for a discrete loop, the largest allowed |z|. If `rate` is None, a value close to the decay
-            of the slowest pole is used.
+        rate: decay rate [1/s]; for a discrete loop, the largest allowed |z|. If `rate` is None, the claim uses a value close to
+            the decay rate of the slowest pole.
     """
     plain = floats(loop, dt)
     growth = float(stability(plain.A, dt).growth.max())

@@ -3,11 +3,11 @@
 A control law with states, x_c' = A x_c + B y, u = C x_c + D y, is written as the static gain [D, C; B, A] of a larger plant.
 The larger plant has the additional states x_c with x_c' = v, the additional inputs v, and the additional measurements x_c.
 
-For a discrete law of a continuous plant, the claims concern the continuous counterpart of the law by Tustin's method. The
-counterpart and the discrete law have the same static gain, but the larger plants of the two laws differ. With a = 2 / T for the
-sample period T, the larger plant of the counterpart has the states xi' = -a xi + v and measures x_c = 2 a xi - v. The transfer
-function from v to x_c is then (a - s) / (a + s), which Tustin's method substitutes for 1 / z. The file of either kind of law
-thus contains the matrices of the law itself.
+For a discrete law of a continuous plant, the claims concern the continuous counterpart of the law, which Tustin's method gives.
+The counterpart and the discrete law have the same static gain, but the larger plants of the two laws differ. With a = 2 / T for
+the sample period T, the larger plant of the counterpart has the states xi' = -a xi + v and measures x_c = 2 a xi - v. The
+transfer function from v to x_c is then (a - s) / (a + s), by which Tustin's method replaces 1 / z. The file of either kind of
+law thus contains the matrices of the law itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -66,7 +66,7 @@ def _distinct(signals: Sequence[Signal]) -> list[dict[str, str]]:
 
 @dataclass
 class Document:
-    """LMI certificate under construction: claims about one or more plants with the same gain.
+    """LMI certificate under construction, with claims about one or more plants that have the same gain.
 
     Attributes:
         gain: gain from the measurements to the forces, extended by the states of the law, shape (m + k, q + k).
@@ -102,8 +102,8 @@ class Document:
 
         Args:
             plant: name of the plant.
-            what: description of the claims, used in the list of claims without a proof.
-            claims: one claim or several claims; if there is no proof, a text with the reason, or None.
+            what: description of the claims, which is used in the list of claims without a proof.
+            claims: one or several claims; if there is no proof, a text with the reason, or None.
         """
         if claims is None or isinstance(claims, str):
             self.leave_out(what, claims or "rounding leaves no proof", TWICE if claims == MULTIPLIERS else "none")

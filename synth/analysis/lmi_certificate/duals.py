@@ -53,13 +53,13 @@ def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict 
 
 
 def _largest(gamma: float, proves: Callable[[Fraction], bool]) -> Fraction:
-    """Returns the largest proved lower bound among gamma and some values just below gamma; 0 if none of them is proved."""
+    """Returns the largest value that is proved as a lower bound, among gamma and some values just below gamma; 0 if none is."""
     levels = [decimal(gamma), *(decimal(rounded(gamma * (1 - less), 15)) for less in LOWER)]
     return next((level for level in levels if proves(level)), Fraction(0)) if proves(levels[-1]) else Fraction(0)
 
 
 def _invariant_point(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict | str:
-    """Returns the claim of an invariant point, or the reason why it is not proved."""
+    """Returns the claim of the bound at an invariant point, or the reason why this bound is not proved."""
     assert below.limit_at is not None, "it is given"
     n, sampled = len(plant.A), plant.dt is not None
     t = Fraction(float(below.limit_at if plant.dt is None else np.tan(below.limit_at * plant.dt / 2)))
@@ -123,7 +123,7 @@ def _rational(side: SynthesisInequality, certificate: DualCertificate, bits: int
 
 
 def _weights(plant: Plant, side: SynthesisInequality, W: Array) -> Array:
-    """Returns the matrix V that multiplies X in a dual solution, in the coordinates of the inequality, rounded to floats."""
+    """Returns the matrix V that multiplies X in a dual solution, in the coordinates of the inequality and rounded to floats."""
     n, at = len(plant.A), side.coordinates
     system, over = integers(plant.system_matrix[:, :n])
     S = _fractions(system[:, at], over)
@@ -134,7 +134,7 @@ def _weights(plant: Plant, side: SynthesisInequality, W: Array) -> Array:
 
 
 def _normal_rows(side: SynthesisInequality) -> Array:
-    """Returns J with its rows scaled so that the columns `coordinates` of J form the identity matrix."""
+    """Returns the matrix J, with its rows scaled so that the columns `coordinates` of J form the identity matrix."""
     return np.array([[Fraction(x, row[at]) for x in row] for row, at in zip(side.J, side.coordinates, strict=True)], dtype=object)
 
 

@@ -40,7 +40,7 @@ def rounded(value: float, count: int, direction: str = ROUND_FLOOR) -> float:
 
 
 def exact(matrix: Array) -> Matrix:
-    """Returns a matrix of floats as rational numbers."""
+    """Converts a matrix of floats to rational numbers."""
     return Matrix([Fraction(float(x)) for x in row] for row in matrix)
 
 
@@ -61,7 +61,8 @@ def floats(loop: ExactLoop, dt: float | None) -> Plant:
 
 
 def shortened(X: Array) -> Iterator[Array]:
-    """Yields approximations of a symmetric matrix X with positive diagonal, each with more bits than the previous one.
+    """Yields approximations of a symmetric matrix X with a positive diagonal; each approximation has more bits than the
+    previous one.
 
     The last matrix is exactly X.
     """
