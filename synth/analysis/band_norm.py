@@ -40,7 +40,8 @@ class BandNorm:
         high: upper edge of the band [rad/s]; may be infinite.
         gap: relative difference between the largest gains that the two methods (level sets and sweep) found.
         rounding: first-order bound on the relative rounding error of `value`.
-        stability: stability of the loop. If the loop is unstable, `value` is not an amplification.
+        stability: stability of the loop (stable, marginal or unstable). If the loop is unstable, `value` is not an
+            amplification.
     """
 
     value: float

@@ -90,7 +90,7 @@ def bounded_real_matrix(plant: Plant, X: Array, Y: Array, eta: float, step: floa
 def bounded_real_exactly(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> Array:
     """Returns the left side of LMI (20), or of its discrete form, for the loop A + B G, C + D G.
 
-    The matrix is computed exactly. Each entry of the exact matrix is then rounded once.
+    The matrix of the inequality is computed exactly. Each entry of the exact matrix is then rounded once.
 
     Args:
         plant: plant with n states and m inputs.
@@ -165,7 +165,7 @@ class LmiProof:
 
     @property
     def bound(self) -> float:
-        """Proved bound gamma = eta^-1/2, rounded up."""
+        """Proved bound gamma = eta^-1/2 on the norm, rounded up."""
         return bound_of(self.eta)
 
     @property
@@ -277,7 +277,7 @@ class Certificate(ShownResult):
 
     @property
     def hardly_decays(self) -> bool:
-        """True if the loop is stable but has a mode that hardly decays. The proofs remain valid."""
+        """True if the loop is stable but has a mode that hardly decays. The proofs remain valid for such a loop."""
         return self.own.stable and -float(self.own.growth.max(initial=-np.inf)) < SLOWEST * self.speed * (self.loop.dt or 1.0)
 
     @property

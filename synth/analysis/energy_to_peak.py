@@ -93,7 +93,7 @@ def signals(plant: Plant, Cs: Array, Ds: Array) -> tuple[Array, Array]:
     """Returns C_s and D_s as arrays, and checks their shapes (p, n) and (p, m).
 
     Raises:
-        InputError: the signals do not fit the plant.
+        InputError: the matrices of the signals do not fit the plant.
     """
     (n, m), C_signals = plant.B.shape, real_matrix(Cs, "Cs", f"(p, {plant.B.shape[0]})")
     through = real_matrix(Ds, "Ds", f"({len(C_signals)}, {m})")

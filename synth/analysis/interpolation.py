@@ -85,7 +85,7 @@ def zero_limit(
     The bound is 0 if the zeros do not prove any bound.
 
     Args:
-        plant: plant for which the bound holds. If the plant has no measurements, all states count as measured, and only zeros
+        plant: plant to which the bound applies. If the plant has no measurements, all states count as measured, and only zeros
             from u to z are used.
         inequalities: synthesis inequalities of the plant and of the transposed plant; None if they are not computed yet. The
             inequality of the transposed plant is None if the transposed plant is not used.

@@ -7,12 +7,12 @@ eta, and gamma^2 c2 c2' replaces c c':
 
     He(Q X U') + eta b b' - c c' < 0,         He(Q2 S U2') + b2 b2' - gamma^2 c2 c2' < 0.
 
-The dual variables are the positive semidefinite matrices W1, W2 and V = [V2, V12; V12', V1], with V1 = He(U' W1 Q); V2 is
-defined likewise. The sum of the products of W1, W2 and V with the three inequalities is
+The dual variables are positive semidefinite matrices W1, W2 and V = [V2, V12; V12', V1] with V1 = He(U' W1 Q), and V2 likewise.
+The sum of the products of W1, W2 and V with the three inequalities is
 
     (t1 - e1 / gamma^2) + (t2 gamma^2 - e2) > 2 f,     e = tr b' W b,  t = tr c' W c,  f = -tr(V12 (J2 J1')').
 
-W1 and W2 may be scaled independently. Therefore, gamma^2 is at least the largest eigenvalue of the matrix
+W1 and W2 may be scaled independently of each other. Therefore, gamma^2 is at least the largest eigenvalue of the matrix
 
     [ e1 / t1, . ; f (e1 / t1)^1/2 / (t1 t2)^1/2, f^2 / (t1 t2) + e2 / t2 ].
 
@@ -70,7 +70,7 @@ class LowerBound:
     """Lower bound on the norm for all controllers with the same measurements, with its proof.
 
     Attributes:
-        gamma: lower bound; 0 if nothing is proved.
+        gamma: lower bound on the norm; 0 if nothing is proved.
         state: dual certificate for state feedback; None if an invariant point or zeros prove the bound.
         observer: dual certificate of the transposed plant; None if the bound is the one for state feedback.
         limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; None if the bound has a different

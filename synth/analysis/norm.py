@@ -196,7 +196,7 @@ class Gain:
 
         The result is needed if rounding may have moved the poles, so that the search may have missed a peak.
 
-        Near a resonance, gain^-2 is a parabola in the frequency. The parabola is fitted through three frequencies.
+        Near a resonance, gain^-2 is a parabola in the frequency. The parabola is fitted through the gains at three frequencies.
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
@@ -423,7 +423,7 @@ def level_crossings(system: Plant, level: float) -> Array:
     """Returns the nonnegative imaginary parts of the eigenvalues of the Hamiltonian matrix in ascending order [rad/s], shape
     (k,).
 
-    The first value is 0. The values include every frequency at which a singular value of Dw + C (s - A)^-1 Bw
+    The first value of the result is 0. The values include every frequency at which a singular value of Dw + C (s - A)^-1 Bw
     equals the level.
     """
     A, Bw, C, Dw = system.A, system.Bw, system.C, system.Dw

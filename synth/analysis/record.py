@@ -125,7 +125,9 @@ def read_sampled_bound(record: Mapping[str, Any], problem: "SampledDataProblem")
 
 
 def _prove_bound(record: Mapping[str, Any], plant: Plant) -> LowerBound:
-    """Returns the lower bound that follows from the proofs in a record. For arguments and errors, see `read_proof`."""
+    """Returns the lower bound that follows from the proofs in a record. For arguments and errors, see the function
+    `read_proof`.
+    """
     lower_bound = LowerBound(0.0)
     limit_at = _number(record, "limit_at")
     if limit_at is not None:

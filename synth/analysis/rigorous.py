@@ -28,7 +28,7 @@ def integers(matrix: Array) -> tuple[Array, int]:
 
 
 def floats(matrix: Array, unit: Fraction = Fraction(1)) -> Array:
-    """Returns `unit` times a matrix of integers as floats. Every entry is rounded once.
+    """Returns `unit` times a matrix of integers as floats. Every entry of the result is rounded once.
 
     Raises:
         OverflowError: an entry is too large for a float.
@@ -38,7 +38,9 @@ def floats(matrix: Array, unit: Fraction = Fraction(1)) -> Array:
 
 
 def product(left: Array, right: Array) -> Array:
-    """Returns left @ right for matrices of integers. If the inner dimension of the matrices is 0, the product is zero."""
+    """Returns the product left @ right for matrices of integers. If the inner dimension of the matrices is 0, the product is
+    zero.
+    """
     return left @ right if left.shape[1] else zeros(len(left), right.shape[1])
 
 
@@ -138,8 +140,8 @@ class Nullspace:
 
 
 def _similar_columns(rows: Array) -> tuple[Array, Array]:
-    """Divides the rows by their common factors, and scales the columns to similar size by powers of two. Returns the new rows
-    and the powers.
+    """Divides the rows by their common factors, and scales the columns to similar size by powers of two. Returns the scaled
+    rows and the powers of two.
     """
     for i, row in enumerate(rows):
         rows[i] = row // (np.gcd.reduce(row) or 1)
@@ -221,7 +223,7 @@ def radius_of_solution(residual: float, contraction: float, curvature: float) ->
 def definiteness(M: Array) -> Definiteness:
     """Tests whether all symmetric matrices whose entries round to those of M are positive definite.
 
-    M must be exactly symmetric.
+    The matrix M must be exactly symmetric.
     """
     scaled, shift, proved = _definite(M[None], UNIT * np.abs(M)[None])
     if scaled is None:

@@ -333,8 +333,8 @@ class SampledLoop(CheckedFields):
 
         Returns:
             The transition matrix minus the identity, shape (N, N + j), and the matrix from the N states to [x; held inputs],
-            shape (n + i, N + j). The last j columns belong to the noise. Delayed forces are sorted by the time at which they
-            act.
+            shape (n + i, N + j). The last j columns belong to the noise signals. Delayed forces are sorted by the time at which
+            they act.
         """
         n, (m, known), late = len(self.plant.A), self.K.shape, self.largest_delay
         gain, memory = (np.insert(matrix, [known] * late * m, 0.0, axis=1) for matrix in self.with_noise)
@@ -358,7 +358,7 @@ class SampledLoop(CheckedFields):
 
         Returns:
             zeta I minus the transition matrix of p, shape (F, n + k, n + k + j), and the matrix from p to [x; held inputs],
-            shape (F, n + i, n + k + j). The last j columns belong to the noise.
+            shape (F, n + i, n + k + j). The last j columns belong to the noise signals.
         """
         n, known, turned, (gain, memory) = len(self.plant.A), self.K.shape[1], np.exp(1j * angles), self.with_noise
         columns = gain.shape[1]
@@ -376,8 +376,8 @@ class SampledDataProblem:
     """Plant whose m forces are held between samples and delayed by a number of samples.
 
     For a level of the L2 gain, the states of the discrete plant are the plant's states and those previous forces that are
-    delayed or measured. The latest force comes first. A static gain feeds back only measurements, not the previous forces. A
-    controller that uses its previous output must be given as a control law with states.
+    delayed or measured. The latest of these forces comes first. A static gain feeds back only measurements, not the previous
+    forces. A controller that uses its previous output must be given as a control law with states.
 
     Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. If measurement noise of rms s is held over T
     seconds, its energy is T s^2 in units of w. The noise of a measurement is therefore modelled as s / sqrt(T) times a sequence

@@ -42,13 +42,13 @@ class Specification:
 
     @property
     def holds(self) -> bool:
-        """True if the proved bound does not exceed the limit; if the exact value is known, this value is compared."""
+        """True if the proved bound does not exceed the limit; without a bound, the exact value is compared with the limit."""
         known = self.value if self.proved is None else self.proved
         return bool(known < float("inf") if self.at_most is None else known <= self.at_most + SAME * abs(self.at_most))
 
     @property
     def proved_text(self) -> str:
-        """Proved upper bound as text."""
+        """Proved upper bound on the quantity, as text."""
         how = f" ({self.proof})" if self.proof else ""
         return "exact" if self.proved is None else "not proved" if self.proved == math.inf else f"{digits(self.proved)}{how}"
 

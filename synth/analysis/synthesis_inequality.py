@@ -98,7 +98,7 @@ class SynthesisInequality:
     """Inequality He(Q X U') + eta b b' - c c' < 0, LMI (21) without the controller; see the module docstring.
 
     Attributes:
-        J: matrix of integers whose rows are orthogonal to the directions without cost, shape (a, n).
+        J: matrix of integers whose rows are orthogonal to the directions without cost (see the module docstring), shape (a, n).
         coordinates: indices of those a states for which the columns of J form a diagonal matrix.
         U, Q, b, c: matrices of integers, shapes (k, a), (k, a), (k, r), (k, d). In the inequality, these matrices of integers
             are divided by `scale`; Q and b are also divided by `unit`.

@@ -49,7 +49,7 @@ class Designs:
     """Designed or checked controllers of a vehicle file, and limits that hold for all controllers.
 
     Attributes:
-        vehicle: vehicle of the controllers.
+        vehicle: vehicle of the designed or checked controllers.
         rows: rows of the table, one for each controller.
         limit: part of the norm that no control force can change; this part is a lower bound for all controllers.
         plant: generalized plant for which `limit` holds.
@@ -241,7 +241,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
 
 
 def _check_save(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> None:
-    """Checks that the designed gains can be saved. Only designed gains are saved."""
+    """Checks that the designed gains can be saved. Only gains that the command designs are saved."""
     from synth.command.save import check_save
 
     entries = vehicle.controllers
@@ -298,7 +298,7 @@ def document(designs: Designs, options: Namespace, in_table: bool = False) -> Do
 
     Args:
         designs: designed or checked controllers, with their results.
-        options: options from the command's parser.
+        options: options that the command's parser returned.
         in_table: True for a table of loops instead of a document about each controller.
     """
     vehicle, rows = designs.vehicle, designs.rows

@@ -294,7 +294,7 @@ def _claims(vehicle: Vehicle, name: str) -> str | list[str]:
 
 
 def _back_to_back(folder: Path, prefix: str) -> tuple[str, bool]:
-    """Runs the compiled code on the test vectors. Returns the result of the run as text, and False if an output is wrong.
+    """Runs the compiled code with the test vectors. Returns the result of the run as text, and False if an output is wrong.
 
     Without a compiler, the code cannot be run; the check does not count this as a wrong output.
     """

@@ -98,7 +98,7 @@ def controller_section(
     Args:
         vehicle: vehicle of the controller.
         controller: controller to be written.
-        name: name of the section.
+        name: name of the section in the vehicle file.
         sampled_bound: lower bound for the sampled-data loop; None if no such bound is known.
     """
     own = vehicle.with_actuators_of(controller.name)

@@ -347,7 +347,7 @@ def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close:
             above `enough`.
 
     Returns:
-        The last point of the path.
+        The last point of the path that was reached.
 
     Raises:
         LinAlgError: the starting point is infeasible because of rounding.

@@ -6,8 +6,8 @@ solver. The design is therefore defined as the limit, for mu -> 0, of the unique
 
     maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta))
 
-The limit depends neither on a solver nor on state coordinates, input units or the time unit, because such changes only add
-constants to the logarithms. The gains published in the paper are equal to the gains at this limit.
+The limit does not depend on a solver, nor on state coordinates or units of inputs and time, which only add constants to the
+logarithms. The gains published in the paper are equal to the gains at this limit.
 
 The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11); each step starts with a predictor
 along the tangent of the path in mu. Two changes of coordinates keep all numbers close to 1. In the state coordinates T = [Q R],
@@ -71,12 +71,12 @@ BREAKS_OFF = (
 
 @dataclass(frozen=True, eq=False)
 class CentralPoint:
-    """Strictly feasible point on the central path.
+    """Strictly feasible point that lies on the central path.
 
     Attributes:
         X: matrix X of the form (12), shape (n, n).
         K: gain Y_R X_R^-1 of (13), shape (m, q). The gain K acts on the q coordinates that R spans.
-        eta: value gamma^-2 of the point. The optimal eta is larger than the eta of this point by at most (2 n + d) mu.
+        eta: value of gamma^-2 at the point. The optimal eta is larger than the eta of this point by at most (2 n + d) mu.
         mu: path parameter mu of the point, divided by eta.
         proof: matrix that proves the bound if `X` itself does not prove it because of states that are unobservable in z;
             otherwise None.
@@ -112,7 +112,8 @@ class CentralPoint:
 
 
 def central_path(plant: Plant, Q: Array, R: Array, mu: float = LIMIT) -> list[CentralPoint]:
-    """Returns points along the central path of (25), or of (22) if Q is empty and R = I. The last point is the design.
+    """Returns points along the central path of (25), or of (22) if Q is empty and R = I. The last point of the path is the
+    design.
 
     Args:
         plant: plant with n states and m inputs.
@@ -238,11 +239,11 @@ class PathPoint:
 
     @property
     def plant(self) -> Plant:
-        """Plant in the current coordinates."""
+        """Plant in the current coordinates of the path."""
         return self.basis.plant
 
     def find_feasible_point(self) -> None:
-        """Finds a strictly feasible point.
+        """Finds a strictly feasible point, at which the path can start.
 
         Feasible points exist if and only if He(A X + B Y) < 0, where He(M) = M + M', has a solution with the structure (12). If
         a solution (X, Y) is multiplied by a small enough factor, it satisfies (24) with some eta > 0. The method therefore

@@ -162,7 +162,7 @@ def _unmeasured_disturbance_bound(plant: Plant, dual: Plant) -> LowerBound:
     """Returns the lower bound that follows from disturbances without effect on measurements, and outputs that no force changes.
 
     Disturbances are considered at zero and infinite frequency, and outputs at infinite frequency. For a discrete plant, the
-    bound is 0.
+    lower bound is 0.
 
     Zeros at other frequencies on the imaginary axis are not used, because floating-point numbers cannot represent these zeros
     exactly. Zeros that are only close to the axis do not give a bound.

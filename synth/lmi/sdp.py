@@ -33,7 +33,7 @@ class LmiSolution:
 
     @property
     def gamma(self) -> float:
-        """Bound gamma = eta^-1/2, as in (23)."""
+        """Bound gamma = eta^-1/2 of the solution, as in (23)."""
         return self.eta**-0.5
 
 

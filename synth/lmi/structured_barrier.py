@@ -106,7 +106,7 @@ class _Run:
     """The unknowns (optimisation variables) in one row of [X; Y].
 
     Attributes:
-        row: index of the row.
+        row: index of the row in [X; Y].
         others: column indices of the unknowns in this row.
         begin, end: range of indices that the row's unknowns have in the vector of all unknowns.
         upper, lower: positions of the unknowns of X, starting with the index `begin`, and of their mirror images. The positions

@@ -23,7 +23,7 @@ class Basis:
     Attributes:
         places: row and column indices in the matrix [X; Y] of all unknowns except the last one, shapes (N - 1,). For the
             unknowns of X, the indices are those on and above the diagonal.
-        size: number N of unknowns.
+        size: number N of optimisation variables.
     """
 
     def __init__(self, system: Array, n: int, m: int, free: int, step: float) -> None:

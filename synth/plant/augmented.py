@@ -7,7 +7,7 @@ The states x_c of the law become integrators with their own inputs v (El Ghaoui,
 For a discrete plant, the law is also discrete, with the states x_c[k+1] = v[k]. A measured disturbance passes directly through
 the law. The effect of the measured disturbance through the law is therefore part of Bw and Dw of the larger plant.
 
-A design handles only constant weights. A weight that depends on frequency is therefore represented by a filter, whose states
+A design can handle only constant weights. A weight that depends on frequency is therefore represented by a filter, whose states
 are added to the plant. A filter in series with an output weights the output. A filter in series with a disturbance shapes the
 spectrum of the disturbance. A filter in series with an input models the actuator. A filter is a `Plant` from w to z without
 control inputs.
@@ -61,7 +61,7 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
     """Returns a filter for one signal, given the numerator and denominator polynomials in s.
 
     Args:
-        numerator: coefficients, highest power of s first.
+        numerator: coefficients of the numerator, highest power of s first.
         denominator: coefficients, highest power of s first; the degree is at least that of the numerator.
 
     Raises:

@@ -272,7 +272,7 @@ class Plant:
         )
 
     def with_law(self, law: LinearLaw) -> "tuple[Plant, Feedback]":
-        """Returns the plant with the states of a law on y, and the law as a static gain of this larger plant.
+        """Returns the plant with the states of a law on y, and the law as a static gain on the states of this larger plant.
 
         If y contains w, the larger plant also contains the effect of w through the law.
 
@@ -434,7 +434,7 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
         expected: description of the required shape, which is used in error messages.
 
     Raises:
-        InputError: the matrix fails the check.
+        InputError: the matrix does not pass these checks.
     """
     return arrays.real_matrix(value, name, LARGEST, expected)[0]
 

@@ -117,7 +117,7 @@ class Loop:
 
     @property
     def direct_radius(self) -> float:
-        """Spectral radius of `direct`.
+        """Spectral radius of the matrix `direct`.
 
         If the radius is 1 or more, a sampled or delayed force grows, because the measurements contain this force.
         """
@@ -159,7 +159,7 @@ class Loop:
 
     def hold_matrices(self, duration: float) -> tuple[Array, Array]:
         """Returns Phi and Gamma of the plant for inputs that are held constant for a duration [s]. The forces are the first
-        inputs.
+        inputs, so their columns of Gamma come first.
         """
         return self._held_plant.hold_matrices(duration, self.exponential)
 
@@ -326,7 +326,7 @@ def _by_step(
 
     Returns:
         The plant as a system from the forces and the disturbances in `drive` to the outputs. The states of this plant and the
-        acting forces, both in each step. The amplitudes of the disturbances.
+        acting forces, both in each step. The amplitudes of the sinusoidal disturbances.
     """
     plant = loop.plant.part(outputs, (*loop.forces, *(name for name in drive if name not in loop.forces)))
     (z, states, forces), (columns, d) = _harmonic(loop, drive, omega), _disturbances(loop, drive)

@@ -50,7 +50,7 @@ class NormalisedPlant:
         """Normalises a plant that has a disturbance, a controlled output and a measurement.
 
         Raises:
-            InputError: the plant is discrete.
+            InputError: the plant is discrete, not continuous.
         """
         check_continuous(plant)
         units = own_units(plant, measured=True)

@@ -23,7 +23,9 @@ class InfeasibleError(DesignError):
 
 
 class NoSolutionError(DesignError):
-    """Error that is raised if an LMI problem has no solution with eta > 0. A stabilising controller may still exist."""
+    """Error that is raised if an LMI problem has no solution with eta > 0. A controller that stabilises the plant may still
+    exist.
+    """
 
 
 class TooLargeError(DesignError):
@@ -64,7 +66,8 @@ def up_to_rounding() -> Iterator[None]:
 def numerics() -> Iterator[None]:
     """Runs a block or a decorated function with one BLAS thread and without warnings about overflow.
 
-    Failed linear algebra raises a DesignError. Results can be infinite or NaN, so the callers check them.
+    If a computation of linear algebra fails, a DesignError is raised. Results can be infinite or NaN, so the callers check
+    them.
 
     Raises:
         DesignError: numpy or scipy reports that a matrix is singular or not finite.

@@ -4,7 +4,7 @@ The frequency band is divided into panels. The length of a panel is at most a fr
 the complex plane. A spectrum is therefore equally smooth on all panels; even a resonance with a damping of 1e-6 needs only a
 few more panels. Each panel has Gauss-Legendre nodes, which are exact for polynomials up to degree 19. The error estimate is the
 part of the integrand with polynomial degrees 8 and 9, which is far larger than the true error. Panels with a large error
-estimate are halved.
+estimate are split into halves.
 """
 
 from collections.abc import Callable

@@ -135,9 +135,9 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
     outputs z. The units of w and z affect the result only if nothing else determines the speed of the plant. For example,
     integrators have the rate at which motion and driving force have the same weight in z.
 
-    The pattern of zeros in the matrices may leave some units undetermined. Units that are undetermined are not changed; of
-    these units, the unit of the disturbance is kept first. As a result, a plant that is given in two sets of units, which
-    differ by powers of two, is identical bit for bit after conversion.
+    The pattern of zeros in the matrices may leave some units undetermined. Where a choice remains, a unit is kept as given,
+    preferably the unit of the disturbance. As a result, a plant that is given in two sets of units, which differ by powers of
+    two, is identical bit for bit after conversion.
 
     Args:
         plant: plant with n states. For a discrete plant, the units are those of `Plant.differences`.
@@ -203,8 +203,8 @@ def speed(plant: Plant) -> tuple[float, bool]:
     """Returns the speed of the plant [rad/s], and True if this speed is the speed of the fastest pole.
 
     If all poles are at 0, the speed is the rate of the plant (see `own_units`), and the second value is False. Poles of
-    weighting filters do not count. For a discrete plant, the speed of a mode is the change of the mode per sample, divided by
-    dt.
+    weighting filters are not considered in the speed. For a discrete plant, the speed of a mode is the change of the mode per
+    sample, divided by dt.
     """
     plant = plant.differences.without_weighting
     A = plant.A

@@ -58,7 +58,9 @@ def plain_names(plant: Plant) -> Names:
 
 
 def _distinct(signals: Sequence[Signal]) -> list[dict[str, str]]:
-    """Returns signals as JSON. If several signals have the same name, a number is appended to the name of each later signal."""
+    """Returns the signals of a plant as JSON. If several signals have the same name, a number is appended to the name of each
+    later signal.
+    """
     names = [name for name, _ in signals]
     before = [names[:i].count(name) for i, name in enumerate(names)]
     return [{"name": f"{name} ({k + 1})" if k else name, "unit": unit} for (name, unit), k in zip(signals, before, strict=True)]

@@ -27,7 +27,8 @@ def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict 
     """Returns the claim of a lower bound, or the reason why a certificate cannot contain this claim.
 
     Args:
-        plant: plant to which the lower bound applies. `loop` has the states of this plant, followed by the states of the law.
+        plant: plant to which the lower bound applies. The states of `loop` are the states of this plant, followed by the states
+            of the law.
         loop: closed loop with a controller, in rational arithmetic.
         below: lower bound, with the proof of this bound.
     """
@@ -53,7 +54,7 @@ def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict 
 
 
 def _largest(gamma: float, proves: Callable[[Fraction], bool]) -> Fraction:
-    """Returns the largest value that is proved as a lower bound, among gamma and some values just below gamma; 0 if none is."""
+    """Returns the largest proved lower bound among gamma and some values just below gamma; 0 if none of them is proved."""
     levels = [decimal(gamma), *(decimal(rounded(gamma * (1 - less), 15)) for less in LOWER)]
     return next((level for level in levels if proves(level)), Fraction(0)) if proves(levels[-1]) else Fraction(0)
 
