@@ -1,23 +1,23 @@
 """Controller design for any linear plant by linear matrix inequalities (LMIs), with a proved certificate for every design.
 
-Public names. All units are SI. Each of the following names is imported when it is first used:
+Public names. All units are SI. Each name in the following list is imported when it is first used:
 
-- Vehicle files: `design_controllers` designs the controllers of a file. See also `Designer` and `Controller`.
+- Vehicle files: `design_controllers` designs the controllers of a vehicle file. See also `Designer` and `Controller`.
 - Plants: `GeneralizedPlant` (continuous, or discrete if `dt` is given) and `Feedback` (a gain and its measurements).
-- All design methods: `design_feedback` selects the method and returns a `FeedbackDesign`.
+- All design methods: `design_feedback` selects a design method and returns a `FeedbackDesign`.
 - Static gains: `two_step_design`, `static_output_feedback` and `refine`. `multi_objective_design` solves a
   `MultiObjectiveProblem`, which consists of `NormSpecification`, `FamilyMember`, `MeasuredPlant` and `GainErrors`.
   `slack_design` is deprecated.
 - Dynamic controllers and quadratic designs: `full_order_design`, `lqr_design`, `lqg_design`, `h2_design`, `preview_design`.
 - Analysis of a closed loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`.
-- Analysis of a sampled-data loop: `sampled_norm` of a `SampledLoop`, for example from `SampledLoop.of_gain`. A `HoldInterval`
-  describes the part of a sample period in which the forces are constant.
+- Analysis of a sampled-data loop: `sampled_norm` computes the norm of a `SampledLoop`, for example from `SampledLoop.of_gain`.
+  A `HoldInterval` describes a part of the sample period in which the forces are constant.
 - Conversion to and from python-control: `from_state_space`, `controller_from`, `closed_loop`, `law_system`.
-- Errors: `DesignError` and `InfeasibleError`. A design raises an error if it finds no controller.
+- Errors: `DesignError` and `InfeasibleError`. A design function raises an error if no controller is found.
 
-Start reading at `synth/vehicle/designer.py` for vehicles, and at `synth/design/feedback.py` for other plants. Only the package
-`synth/vehicle`, and packages that build on it, use vehicles. Names that are not in this list may be moved or renamed without
-notice.
+Start reading the code at `synth/vehicle/designer.py` for vehicles, and at `synth/design/feedback.py` for any linear plant. Only
+`synth/vehicle` and the packages that build on it depend on vehicle models; all other packages work for any linear plant. Names
+in `synth` that are not in the list above may be moved or renamed at any time.
 """
 
 import sys

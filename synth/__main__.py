@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command and returns its exit code.
 
     Raises:
-        InputError: bad options or vehicle file.
+        InputError: the options or the vehicle file contain an error.
     """
     options = parse_options(arguments)
     from models.vehicle.vehicle import read_vehicle

@@ -1,15 +1,16 @@
 """H-infinity norm of a loop within a frequency band, computed from level sets and from a frequency sweep.
 
-The norm in a band is computed like the norm over all frequencies (`synth/analysis/norm.py`), by the same two methods. The
-result is a pair of gains, called levels, that enclose the norm. At some frequency in the band, the gain reaches the lower
-level. The upper level is slightly higher, and the gain exceeds the upper level nowhere in the band. To check the upper level,
-the imaginary part of every eigenvalue of the Hamiltonian matrix is treated as a possible crossing, regardless of its real part.
-Between two neighbouring crossings, or between a crossing and an edge of the band, the gain is above the level either everywhere
-or nowhere.
+The norm in a band is computed by the same two methods as the norm over all frequencies (`synth/analysis/norm.py`). Two gains,
+called levels, enclose the norm. At some frequency in the band, the gain reaches the lower level. The upper level is slightly
+higher than the lower level, and the gain does not exceed the upper level anywhere in the band. To check the upper level, the
+imaginary part of every eigenvalue of the Hamiltonian matrix counts as a frequency of a possible crossing of the level. The real
+part of the eigenvalue is ignored. Between two neighbouring crossings, or between a crossing and an edge of the band, the gain
+is either everywhere above the level or nowhere.
 
-**A norm in a band does not imply stability**, and it implies nothing about other frequencies. For a stable loop, the norm is
-the largest amplification of a sinusoid in the band. An unstable loop also has a frequency response, but the response of this
-loop to a sinusoid never reaches a steady state. The norm of an unstable loop is therefore not an amplification.
+**A norm in a band does not imply stability**, and it implies nothing about frequencies outside the band. For a stable loop, the
+norm is the largest amplification of a sinusoid whose frequency is in the band. An unstable loop also has a frequency response,
+but the response of this loop to a sinusoid never reaches a steady state. The norm of an unstable loop is therefore not an
+amplification.
 """
 
 from dataclasses import dataclass
@@ -32,14 +33,15 @@ class BandNorm:
 
     Attributes:
         value: largest gain in the band; infinite if a pole lies on the imaginary axis within the band.
-        peak_frequency: frequency in the band at which the gain is `value` [rad/s]. The frequency may be an edge of the
+        peak_frequency: frequency in the band at which the gain is `value` [rad/s]. The peak frequency may be an edge of the
             band.
         level: upper bound on the gain in the band, slightly above `value`.
         low: lower edge of the band [rad/s].
         high: upper edge of the band [rad/s]; may be infinite.
-        gap: relative difference between the largest gains that the two methods found.
+        gap: relative difference between the largest gains that the two methods (level sets and sweep) found.
         rounding: first-order bound on the relative rounding error of `value`.
-        stability: stability of the loop. If the loop is unstable, `value` is not an amplification.
+        stability: stability of the loop (stable, marginal or unstable). If the loop is unstable, `value` is not an
+            amplification.
     """
 
     value: float
@@ -63,20 +65,20 @@ class BandNorm:
 
 @numerics()
 def norm_in_band(loop: Plant, low: float, high: float) -> BandNorm:
-    """Returns the largest gain from w to z within a frequency band, for u = 0.
+    """Returns the largest gain from w to z within a frequency band, with the control u = 0.
 
     Args:
         loop: loop in continuous or discrete time; for a plant with a controller, use `plant.closed_loop(...)`.
         low: lower edge of the band, at least 0 [rad/s].
-        high: upper edge of the band, above `low` [rad/s]; may be infinite. The gain of a discrete loop is periodic, so
-            frequencies above pi / dt add nothing.
+        high: upper edge of the band, above `low` [rad/s]; may be infinite. The gain of a discrete loop is periodic in
+            frequency, so the gains above pi / dt are the same as those below.
 
     Returns:
-        Largest gain, the frequency [rad/s] at which it occurs, and an upper bound on the gain in the band, as a `BandNorm`.
+        Largest gain, the frequency [rad/s] of this gain, and an upper bound on the gain in the band, as a `BandNorm`.
 
     Raises:
-        InputError: the band is empty or out of range.
-        DesignError: a discrete loop has a pole at z = -1.
+        InputError: the frequency band is empty or out of range.
+        DesignError: the loop is discrete and has a pole at z = -1.
 
     Example:
         >>> from synth import GeneralizedPlant, Feedback, norm_in_band
@@ -129,7 +131,9 @@ def _gain(loop: Plant, low: float, high: float) -> Gain:
 
 
 def exceeds(gain: Gain, level: float) -> bool:
-    """Returns True if the gain exceeds the level at some frequency in the band. `gain` defines the loop and the band."""
+    """Returns True if the gain exceeds the level at some frequency in the band. The argument `gain` specifies the loop and the
+    frequency band.
+    """
     if gain.high == np.inf and gain.at_infinity > level:
         return True
     return bool(np.any(gain.at(proposals(gain, level)[0]) > level))

@@ -1,4 +1,4 @@
-"""Proof of a norm bound: a Riccati equation, not an LMI solver, gives an X for the bounded-real LMI (20)."""
+"""Proof of a norm bound: a Riccati equation, not an LMI solver, gives a matrix X that satisfies the bounded-real LMI (20)."""
 
 from dataclasses import replace
 from itertools import product
@@ -46,7 +46,7 @@ def certify_tightly(
 ) -> Certificate:
     """Returns the certificate of a stabilising gain, with a proved bound just above the norm if a proof succeeds.
 
-    In contrast, `certify` does not compute an X: it checks a given X, or returns a certificate without a bound.
+    In contrast, `certify` does not compute a matrix X: it checks a given X, or returns a certificate without a bound.
 
     Args:
         plant: plant with n states and m inputs.
@@ -85,22 +85,23 @@ def certify_law(plant: Plant, law: LinearLaw, lower_bound: "LowerBound | None" =
 
 
 def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_seen: bool = False) -> Array:
-    """Returns X > 0 that satisfies (20) for a stable loop whose norm is below gamma, shape (n, n).
+    """Returns a matrix X > 0 that satisfies LMI (20) for a stable loop whose norm is below gamma, shape (n, n).
 
     The matrix X solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, which is the Schur
     complement of (20) with a margin (Zhou, Doyle, Glover 1996, section 13.5). Bw~ Bw~' is Bw Bw' plus `more` times the
-    covariance of a small noise. The equation is solved in coordinates in which this noise drives the states to the covariance
-    I. The accuracy therefore does not depend on the units of the states.
+    covariance of a small noise. The equation is solved in coordinates in which the states have the covariance I (identity
+    matrix) if only this noise drives them. The accuracy therefore does not depend on the units of the states.
 
     Args:
         loop: stable loop in continuous time.
-        gamma: bound, larger than the norm.
-        more: factor that multiplies the noise; it should be small compared with the relative gap between gamma and the norm.
+        gamma: bound, which must be larger than the norm.
+        more: factor that multiplies the noise; the factor should be small compared with the relative gap between gamma and the
+            norm.
         everywhere: relative power of the noise that acts on every state, including states that are not controllable from w.
-        least_seen: True to add more of this noise in directions that are less observable in z.
+        least_seen: True to make the noise stronger in those directions of the state space that are less observable in z.
 
     Raises:
-        LinAlgError: rounding prevents a solution.
+        LinAlgError: the equation has no solution because of rounding errors.
     """
     _, scale = balance(loop.A)
     loop = loop.in_coordinates(np.diag(scale))

@@ -1,33 +1,34 @@
 """Certificates of gains by the Bounded Real Lemma.
 
-Certificates are computed with numpy alone, without the solver that found the gains.
+Certificates are computed only with numpy, without the solver that found the gains.
 
 For a closed loop, the lemma is LMI (20) of the paper; for a design, which determines the gain, the lemma is LMI (21). With a
-feedthrough Dw from w to z (zero in the paper), the same Schur complement gives
+feedthrough Dw from w to z (zero in the paper), the Schur complement that leads to (20) gives
 
     [ A X + X A' + B Y + Y' B' + eta Bw Bw'    *                  ]
     [ C X + D Y + eta Dw Bw'                   -I + eta Dw Dw'    ]  < 0,
 
 which is affine in X, Y and eta = gamma^-2.
 
-For a discrete closed loop, the inequality is
+For a discrete closed loop, the inequality of the lemma is
 
     [ A X A' - X + eta Bw Bw'    A X C' + eta Bw Dw'       ]
     [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
 
-which is not affine in a gain. A design therefore uses a larger matrix, whose Schur complement is the matrix above. For this
-matrix, the plant is written in differences over the sample period T (`Plant.differences`), and X T replaces X. The larger
-matrix is then the continuous matrix with additional rows and columns:
+which is not affine in a gain. A design therefore uses a larger matrix, whose Schur complement is the matrix of the discrete
+inequality. For the larger matrix, the plant is written in differences over the sample period T (`Plant.differences`), and X T
+replaces X. The larger matrix then consists of the matrix for a continuous plant and additional rows and columns:
 
     [ He(A X + B Y) + eta Bw Bw'          *                 *   ]
     [ C X + D Y + eta Dw Bw'              -I + eta Dw Dw'   *   ]
     [ sqrt(T) (A X + B Y)'        sqrt(T) (C X + D Y)'     -X   ]  < 0.
 
-As T decreases, the entries of this matrix approach the entries of the continuous matrix. No digits are lost by cancellation,
-even at a sample rate of 1 kHz.
+As T decreases, the entries of the matrix for the discrete plant approach the entries of the matrix for the continuous plant.
+The larger matrix loses no digits by cancellation, even at a sample rate of 1 kHz.
 
-The LMI is *proved* in exact arithmetic (`analysis/rigorous.py`), for matrices whose floats are taken as exact numbers. This
-proves that the loop A + B G is stable and that its norm is below the bound. The norm itself is computed by two methods.
+The LMI is *proved* in exact arithmetic (`analysis/rigorous.py`): all floats in the matrices are taken as exact numbers. The
+proof shows that the loop A + B G is stable and that its norm is below the bound. The norm itself is computed by two different
+methods.
 """
 
 from collections.abc import Callable
@@ -65,7 +66,7 @@ KnownBound = Annotated[
 
 
 def bounded_real_matrix(plant: Plant, X: Array, Y: Array, eta: float, step: float = 0.0) -> Array:
-    """Returns the matrix on the left side of (21), shape (n + d, n + d). With Y = 0, this is the matrix of (20).
+    """Returns the matrix on the left side of (21), shape (n + d, n + d). For Y = 0, the matrix of (21) is the matrix of (20).
 
     Args:
         plant: plant with n states, m inputs and d outputs z.
@@ -73,7 +74,7 @@ def bounded_real_matrix(plant: Plant, X: Array, Y: Array, eta: float, step: floa
         Y: matrix of shape (m, n).
         eta: gamma^-2.
         step: sample period of a plant that is written in differences (`Plant.differences`) [s]; 0 for a continuous plant. If
-            the step is not 0, the result has n more rows and n more columns.
+            the step is not 0, the matrix has n more rows and n more columns.
     """
     top = plant.A @ X + plant.B @ Y
     low = plant.C @ X + plant.D @ Y
@@ -87,9 +88,9 @@ def bounded_real_matrix(plant: Plant, X: Array, Y: Array, eta: float, step: floa
 
 
 def bounded_real_exactly(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> Array:
-    """Returns the left side of (20), or its discrete form, for the loop A + B G, C + D G.
+    """Returns the left side of LMI (20), or of its discrete form, for the loop A + B G, C + D G.
 
-    The matrix is computed exactly. Each entry is then rounded once.
+    The matrix of the inequality is computed exactly. Each entry of the exact matrix is then rounded once.
 
     Args:
         plant: plant with n states and m inputs.
@@ -121,7 +122,7 @@ def bounded_real_exactly(plant: Plant, G: Array | Feedback, X: Array, eta: float
 
 
 def _gain(G: Array | Feedback) -> tuple[Array, int]:
-    """Returns the state gain as integers with a common denominator, in the format of `integers`."""
+    """Returns the state gain as a matrix of integers and a common denominator, in the format of the function `integers`."""
     if not isinstance(G, Feedback):
         return integers(G)
     (gain, of_gain), (rows, of_rows) = integers(G.K), integers(G.Cy)
@@ -148,8 +149,8 @@ class LmiProof:
     Attributes:
         X: symmetric matrix, shape (n, n).
         eta: gamma^-2.
-        positive: result of the check that X is positive definite.
-        negative: result of the check that minus the left side of (20) is positive definite.
+        positive: result of the check whether X is positive definite.
+        negative: result of the check that the left side of (20), multiplied by -1, is positive definite.
     """
 
     X: Array
@@ -159,12 +160,12 @@ class LmiProof:
 
     @property
     def holds(self) -> bool:
-        """True if both inequalities are proved."""
+        """True if both inequalities, X > 0 and (20), are proved."""
         return self.positive.proved and self.negative.proved
 
     @property
     def bound(self) -> float:
-        """Proved bound gamma = eta^-1/2, rounded up."""
+        """Proved bound gamma = eta^-1/2 on the norm, rounded up."""
         return bound_of(self.eta)
 
     @property
@@ -181,7 +182,7 @@ class LmiProof:
 
 
 def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Definiteness) -> str:
-    """Returns a text that explains why an inequality is not proved."""
+    """Returns a text that explains why an inequality could not be proved."""
     if np.isnan(definiteness.smallest):
         return f"{false}: a diagonal entry has the wrong sign, or the magnitude of an entry exceeds 1e200"
     if definiteness.smallest <= 0:
@@ -193,20 +194,21 @@ def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Def
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate(ShownResult):
-    """Stability, norm and bounds of a closed loop, with the proofs of these results.
+    """Stability, norm and bounds of a closed loop, together with the proofs of these results.
 
     Attributes:
-        loop: closed loop to which all results apply.
+        loop: closed loop to which all results of the certificate apply.
         stability: poles of the loop, and whether they are stable.
-        own: stability without the poles of the filters in z and w, which no controller can change.
-        norm: H-infinity norm, computed by two methods, and the frequency of the peak gain.
-        proof: proof of an upper bound on the norm; None if there is no bound.
+        own: stability of the loop without the poles of the filters of z and w, because no controller can change these poles.
+        norm: H-infinity norm, computed by two methods, and the frequency at which the gain has its peak.
+        proof: proof of an upper bound on the norm; None if no upper bound is known.
         speed_up: magnitude of the fastest pole of `own`, divided by the speed of the plant without control.
         moves: True if the plant has poles other than 0; the speed of the plant is then the magnitude of the fastest pole of the
             plant. If all poles are at 0, the speed is the rate at which motion and driving force have equal weight in z
             (`units.own_units`).
-        norm_rounding: threshold below which a norm counts as zero; the results of the two methods then need not agree.
-        below: lower bound on the norm for all controllers with the same measurements, with its proof; None if not requested.
+        norm_rounding: threshold below which the norm counts as zero, so that the results of the two methods need not agree.
+        below: lower bound on the norm for all controllers with the same measurements, with its proof; None if the bound was not
+            requested.
     """
 
     public_name = "a certificate, such as synth.certify returns"
@@ -223,19 +225,19 @@ class Certificate(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Document with the norm, the proved bound, the lower bound, and the claims that do not hold."""
+        """Document with the norm, the proved bound, the lower bound, and those claims that do not hold."""
         return facts(f"certificate: {'FAILS' if self.failures else 'holds'}", self.claims)
 
     @property
     def claims(self) -> dict[str, str]:
-        """Norm, bound and lower bound as texts, and the claims that fail; a missing value has an empty text."""
+        """Norm, bound and lower bound as texts, and the claims that do not hold; the text of a missing value is empty."""
         known = {"norm": self.norm.value, "bound": self.bound, "lower bound": self.lower_bound}
         texts = {name: "" if value is None else digits(value) for name, value in known.items()}
         return texts | {"failures": "; ".join(self.failures)}
 
     @property
     def figures(self) -> "tuple[Figure, ...]":
-        """Figure of the gain of the closed loop over frequency, with the bound and the lower bound."""
+        """Figure of the closed loop's gain against frequency, with the bound and the lower bound."""
 
         loop, levels = self.loop, {"bound": self.bound, "lower bound": self.lower_bound}
         title = "Largest singular value of the closed loop, from w to z."
@@ -243,17 +245,17 @@ class Certificate(ShownResult):
 
     @property
     def bound(self) -> float | None:
-        """Bound gamma that the LMI proves; None if there is no proof."""
+        """Bound gamma that the LMI proves; None if the LMI is not proved."""
         return self.proof.bound if self.proof is not None else None
 
     @property
     def lower_bound(self) -> float | None:
-        """Lower bound on the norm for all controllers with the same measurements; None without a bound above 0."""
+        """Lower bound on the norm for all controllers with the same measurements; None if no bound above 0 is proved."""
         return (self.below.gamma or None) if self.below is not None else None
 
     @property
     def poles(self) -> Array:
-        """Eigenvalues of A + B K C_y, complex, shape (n,) [rad/s]; poles z [-] if the loop is discrete."""
+        """Eigenvalues of A + B K C_y [rad/s], complex, shape (n,); for a discrete loop, the poles z [-]."""
         return self.stability.poles
 
     @property
@@ -275,7 +277,7 @@ class Certificate(ShownResult):
 
     @property
     def hardly_decays(self) -> bool:
-        """True if a stable loop has a pole that hardly decays. The proofs remain valid."""
+        """True if the loop is stable but has a mode that hardly decays. The proofs remain valid for such a loop."""
         return self.own.stable and -float(self.own.growth.max(initial=-np.inf)) < SLOWEST * self.speed * (self.loop.dt or 1.0)
 
     @property
@@ -285,7 +287,7 @@ class Certificate(ShownResult):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Warnings about the loop; the claims remain valid despite these warnings."""
+        """Warnings about the loop; the claims of the certificate are valid despite these warnings."""
         remarks = []
         if self.hardly_decays:
             rate = -float(self.own.growth.max()) / (self.loop.dt or 1.0)
@@ -306,7 +308,7 @@ class Certificate(ShownResult):
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Descriptions of the claims that do not hold; empty if all claims hold."""
+        """Descriptions of those claims that do not hold; empty if all claims hold."""
         if self.gap is None or self.gap >= -BELOW:
             return self.loop_failures
         below = f"the norm {digits(self.norm.value)} is below the lower bound {digits(self.lower_bound)}"
@@ -314,7 +316,7 @@ class Certificate(ShownResult):
 
     @property
     def loop_failures(self) -> tuple[str, ...]:
-        """Descriptions of the claims about the loop itself that do not hold; the lower bound is not checked here."""
+        """Descriptions of those claims about the loop itself that do not hold; the list does not consider the lower bound."""
         failures = []
         if not self.stable:
             failures.append(self.stability.words)
@@ -331,7 +333,7 @@ class Certificate(ShownResult):
         return tuple(failures)
 
     def peaks_at(self, omega: float) -> bool:
-        """Returns True if the gain at omega [rad/s] equals the norm.
+        """Returns True if the gain at the frequency omega [rad/s] equals the norm, up to the allowed difference.
 
         The gain is flat at a peak, so the relative accuracy of a peak frequency is only about 1e-5.
         """
@@ -352,26 +354,27 @@ def certify(
     lower_bound: KnownBound = None,
     plant_without_law: Plant | None = None,
 ) -> Certificate:
-    """Computes the certificate of a gain. If X and eta are given, checks whether they prove a bound.
+    """Computes the certificate of a gain. If X and eta are given, checks whether X and eta prove a bound.
 
-    X and eta can come from an LMI solution or from a design record. Without them, the certificate contains no bound.
-    `certify_tightly` computes X and eta itself, which takes several times as long.
+    X and eta can come from an LMI solution or from a design record. Without X and eta, the certificate contains no bound.
+    `certify_tightly` computes X and eta itself, but takes several times as long.
 
     Args:
         plant: plant with n states and m inputs.
-        G: gain from the measurements, as in (6) of the paper, used without rounding; or a state gain of shape (m, n).
-        X: symmetric matrix of (20), shape (n, n).
-        eta: gamma^-2 of (20), required if X is given.
+        G: gain from the measurements, as in (6) of the paper, which is used without rounding; or a state gain of shape (m, n).
+        X: symmetric matrix X of LMI (20), shape (n, n).
+        eta: value gamma^-2 of (20), required if X is given.
         lower_bound: lower bound on the norm for all controllers with the same measurements as G.
-        plant_without_law: plant without the states of the controller. `Certificate.speed_up` is relative to the speed of this
-            plant. The `weights` of this plant are the number of states that belong to filters. Default: `plant`.
+        plant_without_law: plant without the states of the controller. `Certificate.speed_up` is relative to the speed of
+            `plant_without_law`. The attribute `weights` of `plant_without_law` is the number of states that belong to filters.
+            Default: `plant`.
 
     Returns:
         Stability, H-infinity norm, and, if X and eta are given, the proof of the bound eta^-1/2, as a `Certificate`. The
         `failures` of the certificate list the claims that do not hold.
 
     Raises:
-        InputError: eta or X is out of range, or X has the wrong shape.
+        InputError: eta or X is outside the allowed range, or X has the wrong shape.
 
     Example:
         >>> from synth import GeneralizedPlant, Feedback, certify
@@ -405,8 +408,8 @@ def certify(
 def prove_bound(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> LmiProof:
     """Checks whether X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
 
-    The matrix of (20) (see the docstring of the module `certificate.py`) is computed from X, eta, the plant and the gain
-    without rounding.
+    The matrix of (20) (see the docstring of the module `certificate.py`) is computed without rounding from X, eta, the plant
+    and the gain.
 
     Args:
         plant: plant with n states and m inputs.
@@ -415,7 +418,7 @@ def prove_bound(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> LmiP
         eta: gamma^-2.
 
     Raises:
-        InputError: eta or X is out of range.
+        InputError: eta or X is outside the allowed range.
     """
     X = (X + X.T) / 2
     try:
@@ -431,7 +434,9 @@ def prove_bound(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> LmiP
 
 
 def eta_of(bound: float) -> float:
-    """Returns eta = gamma^-2 of a bound gamma, rounded up. A proof for this eta proves gamma, or a bound just below gamma."""
+    """Returns eta = gamma^-2 for a bound gamma, rounded up. A proof for the rounded eta proves the bound gamma, or a bound just
+    below gamma.
+    """
     eta = bound**-2
     while Fraction(bound) ** 2 * Fraction(eta) < 1:
         eta = float(np.nextafter(eta, np.inf))
@@ -439,7 +444,7 @@ def eta_of(bound: float) -> float:
 
 
 def bound_of(eta: float) -> float:
-    """Returns gamma = eta^-1/2, rounded up."""
+    """Returns the bound gamma = eta^-1/2, rounded up."""
     bound = float(eta**-0.5)
     while Fraction(bound) ** 2 * Fraction(eta) < 1:
         bound = float(np.nextafter(bound, np.inf))
@@ -447,7 +452,7 @@ def bound_of(eta: float) -> float:
 
 
 def _norm_rounding(loop: Plant, at: float) -> float:
-    """Returns the largest gain that rounding errors can produce at 0 and at `at` [rad/s] if the true gain is zero."""
+    """Returns the largest gain that rounding errors can produce at the frequencies 0 and `at` [rad/s] if the true gain is 0."""
     A, scale = balance(loop.A)
     points = 1j * np.array([0.0, at if np.isfinite(at) else 0.0])
     points = points if loop.dt is None else np.exp(points * loop.dt)
@@ -457,9 +462,9 @@ def _norm_rounding(loop: Plant, at: float) -> float:
 
 
 class LaterBound:
-    """A `LowerBound` that is proved only when one of its attributes is first read.
+    """A `LowerBound` whose proof is computed only when one of its attributes is first read.
 
-    If the object is sent to a worker process, the proof is computed before sending.
+    If the object is sent to a worker process, the proof is computed before the object is sent.
     """
 
     def __init__(self, prove: Callable[[], Any]) -> None:
@@ -480,5 +485,5 @@ class LaterBound:
 
 
 def return_bound(bound: Any) -> Any:
-    """Returns its argument unchanged. Pickle uses this function to restore a `LaterBound`."""
+    """Returns its argument unchanged. Pickle uses this function to restore a `LaterBound` object."""
     return bound

@@ -1,14 +1,15 @@
 """Largest peak that a disturbance of limited energy can cause in a signal: the energy-to-peak norm (generalized H2 norm).
 
 The energy of w is the integral of |w|^2. Consider a signal s = c x of a stable loop x' = A x + Bw w with x(0) = 0. If w has the
-energy 1, |s| is at most (c P c')^1/2, where P solves A P + P A' + Bw Bw' = 0. The time-reversed impulse response of s comes
-arbitrarily close to this bound (Wilson 1989; Rotea 1993). For the energy E, the bound is larger by the factor E^1/2. For a
-vector C x of several signals, the length of this vector is at most the square root of the largest eigenvalue of C P C'. If w
-has a direct feedthrough to a signal, the peak of this signal is unbounded. The signals may also contain control forces.
+energy 1, |s| is at most (c P c')^1/2, where P solves A P + P A' + Bw Bw' = 0. The time-reversed impulse response of s, used as
+a disturbance, comes arbitrarily close to the bound on |s| (Wilson 1989; Rotea 1993). For a disturbance of energy E, the bound
+is larger by the factor E^1/2. For a vector C x of several signals, the length of this vector is at most the square root of the
+largest eigenvalue of C P C'. If w acts directly (with a feedthrough) on a signal, the peak of this signal is unbounded. The
+signals may also contain control forces.
 
-**The proof** is a matrix X > 0 with A X + X A' + Bw Bw' < 0, which is slightly larger than P. No peak then exceeds (c X
-c')^1/2. This inequality is LMI (20) without z, and `certificate.prove_bound` proves it in the same way. The value of c X c' is
-computed exactly, in integers.
+**The proof** is a matrix X > 0 with A X + X A' + Bw Bw' < 0, which is slightly larger than P. A matrix X of the proof shows
+that no peak exceeds (c X c')^1/2. The inequality A X + X A' + Bw Bw' < 0 is LMI (20) without z, so `certificate.prove_bound`
+proves it in the same way as (20). The value of c X c' is computed exactly, in integers.
 """
 
 from dataclasses import dataclass, replace
@@ -92,7 +93,7 @@ def signals(plant: Plant, Cs: Array, Ds: Array) -> tuple[Array, Array]:
     """Returns C_s and D_s as arrays, and checks their shapes (p, n) and (p, m).
 
     Raises:
-        InputError: the signals do not fit the plant.
+        InputError: the matrices of the signals do not fit the plant.
     """
     (n, m), C_signals = plant.B.shape, real_matrix(Cs, "Cs", f"(p, {plant.B.shape[0]})")
     through = real_matrix(Ds, "Ds", f"({len(C_signals)}, {m})")
@@ -112,7 +113,8 @@ def _bounds(plant: Plant, G: Array | Feedback, Cs: Array, Ds: Array, X: Array) -
     """Returns proved bounds on the peaks of the signals.
 
     Returns:
-        (c X c')^1/2 of each signal, rounded up, and a proved bound on the square root of the largest eigenvalue of C X C'.
+        The bound (c X c')^1/2 of each signal, rounded up, and a proved bound on the square root of the largest eigenvalue of C
+        X C'.
     """
     K, Cy = (G.K, G.Cy) if isinstance(G, Feedback) else (G, np.eye(len(plant.A)))
     (states, unit), (through, over), (gain, per), (rows, under), (unknown, one) = (integers(each) for each in (Cs, Ds, K, Cy, X))

@@ -2,13 +2,13 @@
 
 Assume that M - s E = [A - s, B; C, D] loses rank at a point s with Re s > 0, and that [q; p]' (M - s E) = 0. In every stable
 loop, the Laplace transforms of x and u are finite at s. Therefore p' z = (q' Bw + p' Dw) w at s for every controller.
-Transposing the plant gives a second condition. Let t be a zero from w to y = C_y x + Dyw w. At t, some w = v leads to the same
-output z = x, whatever controller uses the measurements y. The transfer function T from w to z thus satisfies the interpolation
-conditions
+The transposed plant gives a second condition. Let t be a zero of the transfer function from w to y = C_y x + Dyw w. At t, some
+w = v leads to the same output z = x, whatever controller uses the measurements y. The transfer matrix T from w to z thus
+satisfies the interpolation conditions
 
     p_i' T(s_i) = y_i',        T(t_k) v_k = x_k.
 
-A stable T with a norm of at most gamma can satisfy these conditions only if Pick's matrix is positive semidefinite:
+A stable T with a norm of at most gamma can satisfy the interpolation conditions only if Pick's matrix is positive semidefinite:
 
     [ (gamma p_i' p_j* - y_i' y_j* / gamma) / (s_i + s_j*)    (p_i' x_k - y_i' v_k) / (t_k - s_i)                  ]
     [ *                                                       (gamma v_k* v_l - x_k* x_l / gamma) / (t_k* + t_l)   ]  >= 0.
@@ -16,18 +16,19 @@ A stable T with a norm of at most gamma can satisfy these conditions only if Pic
 Sources: Ball, Gohberg, Rodman 1990, Interpolation of Rational Matrix Functions, chapter 18; Zames, Francis 1983.
 
 If some inputs do not appear in z, M - s E can be singular at every s. The pairs [q; p] are therefore computed as [q; p] = N
-k with k' (Q - s U) = 0. Here Q - s U is the pencil of a `SynthesisInequality`. This pencil is regular, and it yields all pairs.
+k with k' (Q - s U) = 0. Here Q - s U is the pencil of a `SynthesisInequality`. The pencil Q - s U is regular, and it yields all
+pairs [q; p].
 
-On the imaginary axis, a single interpolation condition already proves that the norm is at least |x_k| / |v_k|. On this axis,
-the conditions of the plant come from its invariant points (see `invariant_point.py`). The conditions of the transposed plant
-come from disturbances that do not reach y at some frequency, or at infinity.
+On the imaginary axis, one interpolation condition is enough to prove that the norm is at least |x_k| / |v_k|. On the imaginary
+axis, the interpolation conditions of the plant come from its invariant points (see `invariant_point.py`). The interpolation
+conditions of the transposed plant come from disturbances that do not reach y at some frequency, or at infinity.
 
 A zero in the open half plane is usually not a floating-point number, so it is enclosed in a disk. Let (k, s) be close to a
-solution of these equations, and let R approximate the inverse of the derivative at (k, s). The residual below includes a bound
-on its own rounding error. An exact solution lies within the radius r around (k, s) if |R residual| + |I - R derivative| r + |R|
-|U| r^2 / 2 <= r (`radius_of_solution`). If several vectors k belong to a zero, additional equations select the vector that
-gives the largest bound. No controller reaches a value of gamma if some vector v satisfies v* P v < 0 for every Pick matrix P
-within the enclosures.
+solution of the equations k' (Q - s U) = 0 with a normalised k, and let R approximate the inverse of their derivative at (k, s).
+The residual in the inequality below includes a bound on the rounding error of the residual. An exact solution lies within the
+radius r around (k, s) if |R residual| + |I - R derivative| r + |R| |U| r^2 / 2 <= r (`radius_of_solution`). If several vectors
+k belong to the same zero, additional equations select the vector that gives the largest bound. No controller reaches the norm
+gamma if some vector v satisfies v* P v < 0 for every Pick matrix P within the enclosures.
 """
 
 from collections.abc import Sequence
@@ -64,7 +65,7 @@ class Node(NamedTuple):
 
     Attributes:
         zero: approximate zero s [rad/s].
-        p: approximate direction of length 1, shape (d,).
+        p: approximate direction p in the space of z, of length 1, shape (d,).
         y: approximate vector y, shape (r,).
         radii: radii of the disks around `zero`, `p` and `y` that contain the exact values.
     """
@@ -79,15 +80,15 @@ class Node(NamedTuple):
 def zero_limit(
     plant: Plant, inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None
 ) -> tuple[float, Zeros]:
-    """Returns the largest lower bound that is proved by zeros in the right half plane, and approximations of these zeros.
+    """Returns the largest lower bound that zeros in the right half plane prove, and approximations of these zeros.
 
-    The bound is 0 if the zeros prove nothing.
+    The bound is 0 if the zeros do not prove any bound.
 
     Args:
-        plant: plant for which the bound holds. If the plant has no measurements, all states count as measured, and only zeros
+        plant: plant to which the bound applies. If the plant has no measurements, all states count as measured, and only zeros
             from u to z are used.
-        inequalities: inequalities of the plant and of the transposed plant; None if they are not computed yet. The second
-            inequality is None if the transposed plant is not used.
+        inequalities: synthesis inequalities of the plant and of the transposed plant; None if they are not computed yet. The
+            inequality of the transposed plant is None if the transposed plant is not used.
     """
     one, other = _sides(plant, inequalities)
     left, right = (_enclosed_nodes(side, side.zeros()) for side in (one, other))
@@ -103,7 +104,7 @@ def zero_limit(
 
 @np.errstate(all="ignore")  # a value that is infinite or NaN never counts as a proof
 def limit_at_zeros(plant: Plant, near: Zeros) -> float:
-    """Returns the lower bound on the norm that the zeros near the given points prove; 0 if no zero can be enclosed."""
+    """Returns the lower bound on the norm that zeros near the given points prove; 0 if no zero can be enclosed."""
     left, right = (_enclosed_nodes(side, points) for side, points in zip(_sides(plant), near, strict=True))
     others = [0.0]
     if len(plant.Cy) and plant.dt is None:
@@ -114,9 +115,10 @@ def limit_at_zeros(plant: Plant, near: Zeros) -> float:
 
 
 def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
-    """Returns the lower bound on the norm that several interpolation conditions prove together; 0 if they prove nothing.
+    """Returns the lower bound on the norm that several interpolation conditions prove together; 0 if the conditions prove no
+    bound.
 
-    A condition that is too close to an earlier condition is ignored.
+    An interpolation condition whose zero is too close to the zero of an earlier condition is ignored.
     """
     nodes: list[list[Node]] = [[], []]
     for kind, given in zip(nodes, (left, right), strict=True):
@@ -133,7 +135,7 @@ def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
 def _sides(
     plant: Plant, inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None
 ) -> "tuple[_Pencil, _Pencil]":
-    """Returns the equations of the plant and of the transposed plant; the second equations are empty if nothing is measured."""
+    """Returns the equations (`_Pencil`) of the plant and of the transposed plant; the latter are empty if nothing is measured."""
     if inequalities is None:
         inequalities = SynthesisInequality.of(plant), SynthesisInequality.of(plant.transposed) if len(plant.Cy) else None
     one, other = inequalities
@@ -144,7 +146,7 @@ class _Pencil(NamedTuple):
     """Equations k' (Q - s U) = 0, p = c' k, y = b' k of a `SynthesisInequality`, scaled so that the entries are near 1.
 
     Attributes:
-        U, Q, b, c: matrices of the equations, with every entry rounded once.
+        U, Q, b, c: matrices of the equations, with every matrix entry rounded once.
         rate: unit in which s is expressed [rad/s].
         unit: unit in which the vector y is expressed.
     """
@@ -174,7 +176,7 @@ class _Pencil(NamedTuple):
     def zeros(self) -> list[complex]:
         """Returns approximations of the points in the right half plane at which Q - s U loses rank.
 
-        If U and Q are not square, the result may also contain points at which the rank is not lost.
+        If U and Q are not square, the result may also contain points at which Q - s U does not lose rank.
         """
         k, a = self.U.shape
         if not 0 < a <= k:
@@ -184,12 +186,14 @@ class _Pencil(NamedTuple):
         return [zero * self.rate for zero in zeros if np.isfinite(zero) and zero.real > 0 and self.loses_rank(zero)]
 
     def loses_rank(self, s: complex) -> bool:
-        """Returns True if Q - s U may lose rank at s."""
+        """Returns True if the matrix Q - s U may lose rank at s."""
         sizes = np.linalg.svd(self.Q - s * self.U, compute_uv=False)
         return bool(sizes[-1] <= NEARLY * sizes[0])
 
     def strongest(self, s: complex) -> tuple[Array, Array]:
-        """Returns the unit vector k with the largest |y| / |p| and k' (Q - s U) near 0, and equations (rows) that select k."""
+        """Returns the unit vector k with the largest |y| / |p| of all k for which k' (Q - s U) is near 0, and equations (rows)
+        that select this k.
+        """
         basis = np.linalg.svd(self.Q - s * self.U)[0][:, self.U.shape[1] - 1 :].conj()
         p, y = basis.T @ self.c, basis.T @ self.b
         directions, sizes, _ = np.linalg.svd(p, full_matrices=False)
@@ -204,7 +208,7 @@ _EMPTY = _Pencil(*[np.zeros((0, 0))] * 4, rate=1.0, unit=1.0)
 
 
 def _enclosed_nodes(side: _Pencil, points: Sequence[complex]) -> list[Node]:
-    """Returns the interpolation conditions at zeros near the given points, if they can be enclosed in the right half plane."""
+    """Returns the interpolation conditions at those zeros near the given points that can be enclosed in the right half plane."""
     return [enclosure for point in points if (enclosure := _enclosed_near(side, complex(point) / side.rate)) is not None]
 
 
@@ -277,7 +281,7 @@ class _Pick:
                     self.errors[1, i, j] = self.errors[1, j, i] = error
 
     def at(self, gamma: float) -> Array:
-        """Returns Pick's matrix for this gamma, computed in floats."""
+        """Returns Pick's matrix for `gamma`, computed in floats."""
         return gamma * self.parts[0] + self.parts[1] - self.parts[2] / gamma
 
     def least(self) -> float:
@@ -289,7 +293,7 @@ class _Pick:
         return low
 
     def excludes(self, gamma: float) -> bool:
-        """Returns True if no Pick matrix within the error bounds is positive semidefinite for this gamma."""
+        """Returns True if no Pick matrix within the error bounds is positive semidefinite for `gamma`."""
         entries = self.at(gamma)
         direction = np.linalg.eigh(entries)[1][:, 0]
         form, size = float(np.real(direction.conj() @ entries @ direction)), np.abs(direction)
@@ -306,9 +310,10 @@ def _product(a: Array, da: float, b: Array, db: float) -> tuple[complex, float]:
 
 
 def _quotient(dividend: tuple[complex, float], divisor: complex, one: Node, other: Node) -> tuple[complex, float]:
-    """Returns a quotient and a bound on the error of the quotient. The divisor is a sum or difference of two zeros.
+    """Returns the quotient of two numbers and a bound on the error of this quotient. The divisor is the sum or the difference
+    of two zeros.
 
-    The bound is infinite if the divisor may be zero.
+    The error bound is infinite if the divisor may be zero.
     """
     error = one.radii[0] + other.radii[0] + SAFE * np.finfo(float).eps * (abs(one.zero) + abs(other.zero))
     entry = dividend[0] / divisor

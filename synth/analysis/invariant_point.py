@@ -1,18 +1,19 @@
 """Lower bounds on the norm from invariant points: frequencies at which some direction of z is independent of the control.
 
-At one frequency, let z = Gw w + Gu u. No controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm
-of this part is a lower bound on the norm of every closed loop. For a suspension, this norm peaks at the invariant point of the
-wheel (Hedrick, Butsuen 1990).
+Let z = Gw w + Gu u at one frequency. No controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm
+of the part that is orthogonal to Gu is a lower bound on the norm of every closed loop. For a suspension, this lower bound is
+largest at the invariant point of the wheel (Hedrick, Butsuen 1990).
 
-The frequency and the direction are first estimated in floats. The proof is a pair (q, p) with
+The frequency and the direction of z are first estimated in floats. The proof is a pair (q, p) with
 
     [q; p]* [A - j omega, B; C, D] = 0,     so that     p* z = (q* Bw + p* Dw) w     at omega for every u and every x.
 
-The proof is exact: some entries of q and p are floats, and the other entries are computed from these floats in integers. The
-existence of a pair therefore does not depend on any tolerance, even at a resonance or near a zero of Gu.
+The proof is exact, because some entries of q and p are floats, and the remaining entries are computed from these floats in
+integers. The existence of a pair therefore does not depend on any tolerance, even at a resonance or near a zero of Gu.
 
-At a pole on the imaginary axis that is unobservable in z, such as an integrator, more pairs exist than at nearby frequencies.
-The additional pairs exist because a stabilising controller must also cancel the effect of w on this mode.
+At a pole on the imaginary axis that is unobservable in z, such as an integrator, more pairs (q, p) exist than at nearby
+frequencies. The additional pairs exist because a stabilising controller must also cancel the effect of w on the unobservable
+mode.
 """
 
 import contextlib
@@ -43,7 +44,7 @@ UNCHANGED_NORM = (
 
 
 def invariant_limit(plant: Plant) -> tuple[float, float] | None:
-    """Returns the largest part of the gain that no controller can change, and the frequency [rad/s] at which it occurs.
+    """Returns the largest part of the gain from w to z that no controller can change, and the frequency [rad/s] of this part.
 
     The result is None if the control affects every direction of z.
     """
@@ -77,11 +78,11 @@ def limit_at(plant: Plant, omega: float) -> float:
 
 @np.errstate(all="ignore")  # a value that is infinite or NaN never counts as a proof
 def proof_at(plant: Plant, omega: float) -> tuple[float, Array]:
-    """Returns the lower bound of `limit_at` and the pair (q, p) that proves this bound.
+    """Returns the lower bound that `limit_at` gives, and the pair (q, p) that proves this bound.
 
     Returns:
-        The lower bound, and a vector of integers of shape (2 (n + d),): the real parts of q and p, then their imaginary parts
-        (see `_equations`).
+        The lower bound, and a vector of 2 (n + d) integers: the real parts of q and p, followed by the imaginary parts of q and
+        p (see `_equations`).
     """
     n, d = len(plant.A), len(plant.C)
     real, imaginary, from_w, unit = _equations(plant, omega)
@@ -119,12 +120,12 @@ def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
     """Returns, in integers, M = [A - j omega, B; C, D] and the matrix that maps [q; p]* to the effect of w.
 
     The complex vector [q; p] is stored as a real vector: first the real parts of all entries, then the imaginary parts. For a
-    discrete plant, the point z = (1 + j t) / (1 - j t) is used, with a float t = tan(omega dt / 2). This point is exactly on
-    the unit circle. The rows of the states are multiplied by 1 - j t.
+    discrete plant, the point z = (1 + j t) / (1 - j t) is used, where t = tan(omega dt / 2) is a float. The point z is exactly
+    on the unit circle. The rows of the matrix that belong to the states are multiplied by 1 - j t.
 
     Returns:
-        The real part and the imaginary part of M, up to a common factor, each of shape (n + d, n + m). The matrix of the
-        effects of w on the real and imaginary parts of p* z, shape (2 (n + d), 2 r), and the denominator of this matrix.
+        The real part and the imaginary part of M, both multiplied by the same factor, each of shape (n + d, n + m). The matrix
+        that describes the effects of w on the real and imaginary parts of p* z, shape (2 (n + d), 2 r), and its denominator.
     """
     n, m = plant.B.shape
     system, unit = integers(plant.system_matrix)
@@ -150,13 +151,15 @@ def limit_at_infinity(plant: Plant) -> float:
     """Returns a proved lower bound on the gain at infinite frequency for all proper controllers that measure y = C_y x + Dyw w.
 
     The bound is the norm of Dw, restricted to disturbances without feedthrough to y, or to outputs without feedthrough from the
-    control forces. The bound is 0 if nothing is proved.
+    control forces. The bound is 0 if no bound can be proved.
     """
     return max(_limit_beside(plant.Dyw.T, plant.Dw), _limit_beside(plant.D, plant.Dw.T))
 
 
 def _limit_beside(K: Array, direct: Array) -> float:
-    """Returns a proved lower bound on the norm of `direct`, restricted to v with K' v = 0; 0 if only v = 0 remains."""
+    """Returns a proved lower bound on the norm of the matrix `direct` for vectors v with K' v = 0; 0 if v = 0 is the only such
+    vector.
+    """
     silent = Nullspace(integers(K)[0])
     if not silent.free or not direct.any():
         return 0.0
@@ -171,12 +174,12 @@ def _limit_beside(K: Array, direct: Array) -> float:
 
 
 def is_pole(plant: Plant, omega: float) -> bool:
-    """Returns True if j omega is numerically equal to a pole, for example 0 for an integrator."""
+    """Returns True if j omega is numerically equal to a pole; for an integrator, this is the case at omega = 0."""
     return bool(np.linalg.matrix_rank(_states(replace(plant, A=balance(plant.A)[0]), omega)) < len(plant.A))
 
 
 def _states(plant: Plant, omega: float) -> Array:
-    """Returns A - j omega or, for a discrete plant, the matrix by which `_equations` replaces it."""
+    """Returns A - j omega; for a discrete plant, returns the matrix that `_equations` uses instead of A - j omega."""
     eye = np.eye(len(plant.A))
     if plant.dt is None:
         return plant.A - 1j * omega * eye
@@ -191,7 +194,7 @@ def _poles_on_axis(plant: Plant) -> list[float]:
 
 
 def _strongest(outputs: Array, effects: Array) -> Array:
-    """Returns the vector x with the largest |x' effects| / |x' outputs|, excluding directions in which x' outputs is zero.
+    """Returns the vector x with the largest |x' effects| / |x' outputs|; directions with x' outputs = 0 are excluded.
 
     Args:
         outputs: matrix of shape (k, d).
@@ -232,7 +235,9 @@ def _invariant_part(plant: Plant, omega: Array, away: float = AWAY) -> Array:
 
 
 def _guess(plant: Plant, omega: float, away: float = AWAY) -> tuple[Array, Array]:
-    """Returns approximations of the p and q that give the largest bound at omega [rad/s], complex, shapes (d,) and (n,)."""
+    """Returns approximations of the vectors p and q that give the largest bound at the frequency omega [rad/s], complex, shapes
+    (d,) and (n,).
+    """
     where, there = plant, omega
     if plant.dt is not None:
         from synth.plant.discrete import continuous_image, mapped_frequency
@@ -246,5 +251,5 @@ def _guess(plant: Plant, omega: float, away: float = AWAY) -> tuple[Array, Array
 
 
 def _off_poles(plant: Plant, omega: Array, away: float) -> Array:
-    """Returns frequencies slightly above `omega` that are not exactly at a pole."""
+    """Returns frequencies slightly above `omega` at which there is no pole."""
     return omega * (1 + away) + away * _rates(plant).max() * (omega == 0)

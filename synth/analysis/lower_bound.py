@@ -1,8 +1,9 @@
 """Lower bounds on the norm for all controllers, proved by dual solutions in exact arithmetic.
 
 A controller of any order from y = C_y x + Dyw w can reach a norm below gamma only if positive definite matrices X and S exist
-such that [X I; I S] is positive semidefinite. Here X solves the `SynthesisInequality` of the plant with eta = gamma^-2. S
-solves the inequality of the transposed plant (Gahinet, Apkarian 1994), with a disturbance of weight 1 and gamma^2 instead of I:
+such that [X I; I S] is positive semidefinite. Here the matrix X satisfies the inequality (`SynthesisInequality`) of the plant
+with eta = gamma^-2. The matrix S solves the inequality of the transposed plant (Gahinet, Apkarian 1994), in which 1 replaces
+eta, and gamma^2 c2 c2' replaces c c':
 
     He(Q X U') + eta b b' - c c' < 0,         He(Q2 S U2') + b2 b2' - gamma^2 c2 c2' < 0.
 
@@ -11,18 +12,20 @@ The sum of the products of W1, W2 and V with the three inequalities is
 
     (t1 - e1 / gamma^2) + (t2 gamma^2 - e2) > 2 f,     e = tr b' W b,  t = tr c' W c,  f = -tr(V12 (J2 J1')').
 
-W1 and W2 may be scaled independently. Therefore, gamma^2 is at least the largest eigenvalue of the matrix
+W1 and W2 may be scaled independently of each other. Therefore, gamma^2 is at least the largest eigenvalue of the matrix
 
     [ e1 / t1, . ; f (e1 / t1)^1/2 / (t1 t2)^1/2, f^2 / (t1 t2) + e2 / t2 ].
 
-The first entry is the square of the bound for state feedback. No controller reaches a norm below this bound, even if the
-controller is dynamic or nonlinear and measures w (Khargonekar, Petersen, Rotea 1988). On the central path, W = (c c' - He(Q X
-U') - eta b b')^-1 is a dual solution. A point (X, eta) therefore determines a dual solution.
+The first entry of the matrix is the square of the bound for state feedback. No controller reaches a norm below the bound for
+state feedback, even if the controller is dynamic or nonlinear and measures w (Khargonekar, Petersen, Rotea 1988). On the
+central path, the matrix W = (c c' - He(Q X U') - eta b b')^-1 is a dual solution. A point (X, eta) therefore determines a dual
+solution.
 
-**The proof, and rounding.** W = L L' and V12 = Y2 K Y1' are *defined* by their factors, which are computed in floats. The bound
-is valid for any values of these factors. Then e, t, f and the entries of V are computed in integers from the entries of the
-plant's matrices, without a tolerance. Only the definiteness of V is checked in floats. This check uses entries that were
-rounded once, and a proved bound on the rounding errors (`analysis/rigorous.py`). The largest eigenvalue is rounded down.
+**The proof, and rounding.** The matrices W = L L' and V12 = Y2 K Y1' are *defined* by the factors, which are computed in
+floats. The bound is valid for any values of the factors L, Y1, Y2 and K. The numbers e, t and f and the entries of V are then
+computed in integers from the entries of the plant's matrices, without a tolerance. Only whether V is positive definite is
+checked in floats. This check uses entries of V that were rounded once, and a proved bound on the rounding errors
+(`analysis/rigorous.py`). The largest eigenvalue of the matrix is rounded down.
 """
 
 from dataclasses import dataclass
@@ -50,11 +53,11 @@ DOWN = 1 - 2.0**-45
 
 @dataclass(frozen=True, eq=False)
 class DualCertificate:
-    """Strictly feasible point (X, eta) of a `SynthesisInequality`. The inverse of the inequality's matrix at this point is the
-    dual solution.
+    """Strictly feasible point (X, eta) of a `SynthesisInequality`. The inverse of the inequality's matrix at the point (X, eta)
+    is the dual solution.
 
     Attributes:
-        X: matrix of shape (n, n); only J X J' is used.
+        X: matrix of shape (n, n); only J X J' is used, where J is a matrix of the `SynthesisInequality`.
         eta: gamma^-2.
     """
 
@@ -67,14 +70,15 @@ class LowerBound:
     """Lower bound on the norm for all controllers with the same measurements, with its proof.
 
     Attributes:
-        gamma: lower bound; 0 if nothing is proved.
+        gamma: lower bound on the norm; 0 if nothing is proved.
         state: dual certificate for state feedback; None if an invariant point or zeros prove the bound.
-        observer: dual certificate of the transposed plant; None if the bound for state feedback is used.
-        limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; None if the bound is proved
-            differently.
+        observer: dual certificate of the transposed plant; None if the bound is the one for state feedback.
+        limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; None if the bound has a different
+            proof.
         zeros: zeros from u to z and from w to y [rad/s] with which `interpolation.limit_at_zeros` proves the bound; None if the
-            bound is proved differently.
-        reason: text that explains why the bound may be far below the norms of controllers; empty if no reason is known.
+            bound has a different proof.
+        reason: text that explains why the lower bound may be far below the norms of all controllers; empty if no reason is
+            known.
     """
 
     public_name = "a lower bound, such as synth.find_lower_bound returns"
@@ -94,14 +98,14 @@ BEYOND = 1e-8  # relative change that rounding may cause in the discrete plant
 class SampledBound:
     """Lower bound on the L2 gain of a sampled-data loop, for controllers of any order.
 
-    For each level of the gain, there is an equivalent discrete plant (`synth/analysis/sampled_loop.py`). The level is a lower
-    bound if no controller brings the norm of this plant below 1.
+    Each level of the L2 gain has an equivalent discrete plant (`synth/analysis/sampled_loop.py`). The level is a lower
+    bound if no controller brings the norm of the equivalent discrete plant below 1.
 
     Attributes:
         level: lower bound on the L2 gain.
-        proof: lower bound on the norm of the discrete plant of this level.
-        inside: True if no equivalent discrete plant exists for the level. In this case, the gain within one period is at least
-            `level` before any force can respond.
+        proof: lower bound on the norm of the equivalent discrete plant for `level`, with its proof.
+        inside: True if `level` has no equivalent discrete plant. If no such plant exists, the gain within one period
+            is at least `level` before any force can respond.
     """
 
     level: float
@@ -115,7 +119,7 @@ class SampledBound:
 
 
 def prove_lower_bound(plant: Plant, state: DualCertificate, observer: DualCertificate | None = None) -> LowerBound:
-    """Returns the lower bound that dual certificates prove.
+    """Returns the lower bound that follows from dual certificates.
 
     A point earlier on the central path, where the barrier parameter mu is larger, gives a bound that is weaker by (2 n + d) mu
     but easier to prove.
@@ -151,12 +155,12 @@ def prove_from_inequalities(
 
 @dataclass(frozen=True, eq=False)
 class _Dual:
-    """Numbers e and t and the matrix V = T^-T V_T T^-1 of a dual solution.
+    """The numbers e and t and the matrix V = T^-T V_T T^-1 of a dual solution.
 
     Attributes:
-        e, t: exact numbers e and t of the solution. For an antistable part, `e` is a lower bound on the exact number, and `t`
-            is an upper bound.
-        V: V_T in floats; it is close to I on the central path.
+        e, t: exact values of the numbers e and t of the dual solution. For the antistable part of an inequality, `e` is a lower
+            bound on the exact number, and `t` is an upper bound.
+        V: the matrix V_T in floats, which is close to I (identity matrix) on the central path.
         error_bound: bound on the error of each entry of V_T, same shape as V_T.
         T: matrix of floats, treated as exact, shape (a, a).
         Y: matrix of floats close to T^-T, treated as exact, shape (a, a).
@@ -196,7 +200,7 @@ def dual_factors(side: SynthesisInequality, certificate: DualCertificate) -> tup
 
 @np.errstate(all="ignore")
 def _dual(side: SynthesisInequality, certificate: DualCertificate) -> _Dual | None:
-    """Returns the dual solution of a certificate; None if the dual solution proves no bound."""
+    """Returns the dual solution that belongs to a certificate; None if this solution proves no bound."""
     factors, part = dual_factors(side, certificate), side.antistable
     if factors is None:
         return None
@@ -255,8 +259,9 @@ class CouplingMatrix:
     """Product J2 J1' of the matrices J of two inequalities, or the corresponding product for their antistable parts.
 
     Attributes:
-        whole, over: the product as integers and their denominator, shape (a2, a1); approximate if `error_bound` is not zero.
-        error_bound: bound on the error of each entry, shape (a2, a1).
+        whole, over: the product as a matrix of integers and a common denominator, shape (a2, a1); approximate if `error_bound`
+            is not zero.
+        error_bound: bound on the error of each entry of the product, shape (a2, a1).
     """
 
     whole: Array
@@ -265,7 +270,7 @@ class CouplingMatrix:
 
     @property
     def floats(self) -> Array:
-        """Product in floats, shape (a2, a1)."""
+        """The product `whole` / `over` in floats, shape (a2, a1)."""
         return floats(self.whole, Fraction(1, self.over))
 
     @classmethod
@@ -288,7 +293,7 @@ class CouplingMatrix:
 
 
 def _best_coupling(first: _Dual, second: _Dual, between: CouplingMatrix) -> Fraction:
-    """Returns f for the best V12 with which V is proved positive definite; 0 if no such V12 is found."""
+    """Returns f for the best V12 found for which V is proved positive definite; 0 if no such V12 is found."""
     if not between.whole.size:
         return Fraction(0)
     (Y1, over1), (Y2, over2), (T1, under1), (T2, under2) = map(integers, (first.Y, second.Y, first.T, second.T))

@@ -1,21 +1,22 @@
-"""H-infinity norm (18), computed by two methods that find its peak, and the largest singular value at a frequency.
+"""H-infinity norm (18), computed by two methods that search for the peak gain, and the largest singular value at a frequency.
 
 - `level_set_norm`: the imaginary eigenvalues of a Hamiltonian matrix are the frequencies at which a singular value crosses a
-  level (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). This method misses no peak, unless rounding changes the
-  eigenvalues too much.
-- `sweep_norm`: a frequency sweep that is dense around every pole, and refined at every local maximum. Each computed value is a
-  gain of the transfer function, so the result of the sweep never exceeds the norm.
+  level (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). The method of level sets misses no peak, unless rounding
+  changes the eigenvalues too much.
+- `sweep_norm`: a frequency sweep that is dense near every pole and is refined at every local maximum. Each gain in the sweep is
+    a gain of the transfer function at a frequency, so the result of the sweep never exceeds the norm.
 
-`hinf_norm` uses both methods, and also returns the difference between their results. The methods find the peak of the gain on
-the imaginary axis (the L-infinity norm), or on an interval of this axis. This peak also exists for unstable systems; it is
-infinite if a pole lies on the axis.
+`hinf_norm` uses both methods, and also returns the difference between the two results. The methods find the peak of the gain on
+the imaginary axis (the L-infinity norm), or on an interval of this axis. The peak also exists for unstable systems; it is
+infinite if a pole lies on the imaginary axis.
 
-Both methods evaluate the same transfer function. A modal form of the system, which is cheap to evaluate, is used only to select
-frequencies. The returned gains are computed without the modal form, by solving a linear system of equations.
+Both methods compute gains from the same transfer function. A modal form of the system, which is cheap to
+evaluate, is used only to select frequencies. The returned gains are computed without the modal form, by solving a linear system
+of equations.
 
-The rounding error of the gains is bounded to first order. The bound is large if a very large gain G causes both fast and slow
-poles of the loop A + B G. In this case, both methods refine their results with twice the precision. For this purpose, the sum A
-+ B G is used unrounded.
+The rounding errors of the gains are bounded to first order. The bound on the rounding error is large if a very large gain G
+causes both fast and slow poles of the loop A + B G. If the bound is large, both methods refine their results in calculations
+with twice the precision. For the refinement, the sum A + B G is used without rounding.
 """
 
 from collections.abc import Callable
@@ -55,10 +56,11 @@ def largest_singular_values(T: Array) -> Array:
 
 
 def highest(T: Array, above: float) -> tuple[float, int]:
-    """Returns the largest singular value among F matrices, T of shape (F, d, r), and the index of its matrix.
+    """Returns the largest singular value among F matrices, T of shape (F, d, r), and the index of the matrix to which it
+    belongs.
 
-    Values up to `above` are ignored. If no value exceeds `above`, returns 0 and the index -1. Most matrices are excluded by
-    their Frobenius norm, which is cheap to compute.
+    Singular values up to `above` are ignored. If no singular value exceeds `above`, returns 0 and the index -1. Most matrices
+    are excluded by their Frobenius norm, which is cheap to compute.
     """
     squares = (np.real(T) ** 2 + np.imag(T) ** 2).reshape(len(T), -1).sum(axis=1)
     among = np.flatnonzero(~(squares <= above * above))
@@ -76,14 +78,16 @@ def _smaller_square(T: Array) -> Array:
 
 
 def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
-    """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the precision, and an estimate of the error.
+    """Returns the frequency response Dw + C (j omega - A)^-1 Bw (19), computed with twice the precision, and an estimate of its
+    error.
 
     Args:
         system: system from w to z, including `beyond`, the low-order digits of its matrices.
         omega: angular frequencies [rad/s], shape (F,).
 
     Returns:
-        T, complex, shape (F, d, r), and the largest change of the entries of T in the last iteration, shape (F,).
+        The frequency response T, complex, shape (F, d, r), and the largest change of its entries in the last iteration, shape
+        (F,).
     """
     n, Bw = len(system.A), system.Bw
     beyond = np.zeros((n + len(system.C), n)) if system.beyond is None else system.beyond
@@ -94,7 +98,8 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
 
 
 class Gain:
-    """Largest singular value of T(j omega) of a continuous system over an interval of frequencies, in balanced coordinates.
+    """Largest singular value of the transfer matrix T(j omega) of a continuous system, over an interval of frequencies, in
+    balanced coordinates.
 
     Args:
         system: system from w to z, with u = 0.
@@ -124,17 +129,17 @@ class Gain:
         return np.minimum(np.maximum(omega, self.low), self.high)
 
     def at(self, omega: Array) -> Array:
-        """Returns the largest singular value at each angular frequency `omega` [rad/s], shape (F,)."""
+        """Returns the largest singular value of the transfer matrix at each angular frequency `omega` [rad/s], shape (F,)."""
         return np.linalg.norm(self.system.frequency_response(omega), 2, axis=(1, 2))
 
     def about(self, omega: Array) -> Array:
-        """Returns the same gains as `at`, but computed from the modal form if its relative error is at most ALIKE."""
+        """Returns the gains of `at`, but computed from the modal form if this form's relative error is at most ALIKE."""
         return self.at(omega) if self._residues is None else self._by_modes(self._residues, omega)
 
     def at_poles(self) -> float:
         """Returns the largest gain at infinity, at the ends of the interval and near the poles.
 
-        This gain is a lower bound on the norm and close to the norm.
+        The returned gain is a lower bound on the norm and close to the norm.
         """
         upper = self.poles[np.imag(self.poles) >= 0]
         omega = self.within(np.concatenate([self.edges, np.abs(upper), np.imag(upper)]))
@@ -142,12 +147,15 @@ class Gain:
         return max(float(gains.max()), self.at_infinity if self.high == np.inf else 0.0)
 
     def climb(self, omega: Array, width: Array) -> tuple[float, float]:
-        """Returns the highest gain near the frequencies `omega`, within the distances `width`, and its frequency [rad/s]."""
+        """Returns the highest gain within the distances `width` of the frequencies `omega`, and the frequency of this gain
+        [rad/s].
+        """
         at = self._climbed(self.about, omega, width)
         return float(self.at(at)[0]), float(at[0])
 
     def rounding(self, omega: Array) -> float:
-        """Returns a first-order bound on the rounding error of `at` at the frequencies `omega` [rad/s].
+        """Returns a first-order bound on the rounding errors of the gains that `at` computes at the frequencies `omega`
+        [rad/s].
 
         Source: Higham 2002, Accuracy and Stability of Numerical Algorithms, section 7.2.
         """
@@ -158,23 +166,25 @@ class Gain:
         return float((n + 2) * np.finfo(float).eps * np.linalg.norm(lost, axis=(1, 2)).max(initial=0.0))
 
     def rounded(self, omega: Array) -> float:
-        """Returns the largest rounding error of `at` at frequencies [rad/s], measured with twice the precision."""
+        """Returns the largest rounding error of the gains that `at` computes at some frequencies [rad/s], measured with twice
+        the precision.
+        """
         gains, missing = self.at_double_double(omega)
         return float((np.abs(self.at(omega) - gains) + missing).max())
 
     def at_double_double(self, omega: Array) -> tuple[Array, Array]:
-        """Returns `at` computed with twice the precision, and bounds on its error, both of shape (F,)."""
+        """Returns the gains of `at`, computed with twice the precision, and bounds on their errors, both of shape (F,)."""
         T, missing = transfer_matrix_closely(self.system, omega)
         return largest_singular_values(T), missing
 
     def missing(self, at: float) -> float:
-        """Returns the bound on the error of `at_double_double` at the frequency `at` [rad/s]; 0 at infinite frequency."""
+        """Returns the bound on the error that `at_double_double` has at the frequency `at` [rad/s]; 0 at infinite frequency."""
         return float(self.at_double_double(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
 
     def grid_error(self, at: float) -> float:
         """Returns the relative amount by which the true peak may exceed the highest gain found, to second order.
 
-        The true peak would lie between the frequency of the highest gain and the next frequency that was tried.
+        The true peak would lie between the frequency of the highest gain and a neighbouring frequency that was tried.
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
@@ -184,9 +194,9 @@ class Gain:
     def missed_closely(self, at: float) -> float:
         """Returns the bound of `grid_error`, computed with twice the precision.
 
-        This method is used if rounding may have moved the poles, so that the search may have missed a peak.
+        The result is needed if rounding may have moved the poles, so that the search may have missed a peak.
 
-        Near a resonance, gain^-2 is a parabola in the frequency. The parabola is fitted through three frequencies.
+        Near a resonance, gain^-2 is a parabola in the frequency. The parabola is fitted through the gains at three frequencies.
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
@@ -201,7 +211,9 @@ class Gain:
         return float(lowest**-0.5 - 1)
 
     def refined_peak(self, at: float) -> tuple[float, float]:
-        """Returns the highest gain near `at` [rad/s] or near any pole, with twice the precision, and its frequency [rad/s]."""
+        """Returns the highest gain near `at` [rad/s] or near any pole, computed with twice the precision, and its frequency
+        [rad/s].
+        """
         omega = np.concatenate([[self.low], np.abs(self.poles), np.abs(np.imag(self.poles)), [at] if np.isfinite(at) else []])
         omega = self.within(omega)
         gains, _ = self.at_double_double(omega)
@@ -211,14 +223,16 @@ class Gain:
         return self.or_at_infinity(best, there)
 
     def or_at_infinity(self, best: float, at: float) -> tuple[float, float]:
-        """Returns the larger of the gain `best` and the gain at infinite frequency, and its frequency: `at` or infinity.
+        """Returns the gain `best` or the gain at infinite frequency, whichever is larger, and its frequency: `at` or infinity.
 
         Infinite frequency is considered only if the interval is unbounded.
         """
         return (self.at_infinity, np.inf) if self.high == np.inf and self.at_infinity > best else (best, at)
 
     def _climbed(self, gain: Callable[[Array], Array], omega: Array, width: Array, zooms: int = ZOOMS) -> Array:
-        """Returns the frequency [rad/s] of the highest gain within `width` of the frequencies `omega`, shape (1,)."""
+        """Returns the frequency [rad/s] of the highest gain within the distances `width` of the frequencies `omega`, shape
+        (1,).
+        """
         steps = np.linspace(-1, 1, 21)[:, None]
         for _ in range(zooms):
             near = self.within(omega + width * steps)
@@ -227,7 +241,7 @@ class Gain:
         return omega[[gain(omega).argmax()]]
 
     def _width(self, omega: Array) -> Array:
-        """Returns the damping of the pole nearest to each frequency [rad/s]. No peak is narrower than this damping."""
+        """Returns the damping of the pole that is nearest to each frequency [rad/s]. No peak is narrower than this damping."""
         nearest = np.abs(omega[:, None] * 1j - self.poles).argmin(axis=1)
         return np.abs(np.real(self.poles[nearest]))
 
@@ -239,7 +253,7 @@ class Gain:
     def _residues(self) -> Array | None:
         """Residues C v w' Bw of the modes, shape (n, d r), where v and w are the right and left eigenvectors.
 
-        The value is None if the modal form loses too many digits.
+        The residues are None if the modal form loses too many digits.
         """
         if not len(self.system.A) or not np.linalg.cond(self.vectors) < ILL_CONDITIONED:
             return None
@@ -261,10 +275,10 @@ class Norm:
     """H-infinity norm of a system, computed by two methods.
 
     Attributes:
-        value: larger of the results of the two methods; infinite if the system is not stable.
+        value: larger of the norms found by the two methods; infinite if the system is not stable.
         peak_frequency: frequency of the peak [rad/s]; NaN if the system is not stable.
-        level_set: norm that the method of level sets found.
-        sweep: norm that the frequency sweep found.
+        level_set: norm that was found by the method of level sets.
+        sweep: norm that was found by the frequency sweep.
         rounding: first-order bound on the relative error of `value`, caused by rounding or by a peak between neighbouring
             frequencies.
     """
@@ -277,7 +291,7 @@ class Norm:
 
     @property
     def gap(self) -> float:
-        """Relative difference between the results of the two methods."""
+        """Relative difference between the norms found by the two methods."""
         return abs(self.level_set - self.sweep) / self.value if 0 < self.value < np.inf else 0.0
 
 
@@ -289,8 +303,8 @@ def hinf_norm(system: Plant) -> Norm:
         system: continuous or discrete system from w to z; for a plant with a controller, use `plant.closed_loop(...)`.
 
     Returns:
-        H-infinity norm, peak frequency [rad/s] and the results of both methods, as a `Norm`. The norm is infinite if the system
-        is not stable.
+        The H-infinity norm, the peak frequency [rad/s] and the results of both methods, as a `Norm`. The norm is infinite if
+        the system is not stable.
 
     Example:
         >>> from synth import GeneralizedPlant, Feedback, hinf_norm
@@ -311,9 +325,9 @@ def hinf_norm(system: Plant) -> Norm:
 
 
 def by_both_routes(gain: Gain) -> Norm:
-    """Returns the largest gain on an interval by both methods.
+    """Returns the largest gain on a frequency interval, computed by both methods (level sets and frequency sweep).
 
-    The system may be unstable, but it must have no pole on the interval.
+    The system may be unstable, but it must have no pole on the frequency interval.
     """
     (sweep, at_sweep), (level, at_level) = by_sweep(gain), by_level_sets(gain)
     slowest = gain.poles[np.abs(np.real(gain.poles)).argmin()] if len(gain.poles) else 0.0
@@ -330,10 +344,10 @@ def by_both_routes(gain: Gain) -> Norm:
 
 
 def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
-    """Returns the largest gain of a discrete system by both methods.
+    """Returns the largest gain of a discrete system, computed by both methods (level sets and frequency sweep).
 
-    The bilinear transform maps the system to a continuous system, which the methods search for frequencies. The returned gain
-    is computed from the discrete system at these frequencies.
+    The bilinear transform maps the system to a continuous system, in which the methods search for frequencies with a large
+    gain. The returned gain is computed from the discrete system at these frequencies.
     """
     norms, discrete = [], FEATURES.load("discrete plants")
     for route in (by_level_sets, by_sweep):
@@ -349,7 +363,9 @@ def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
 
 
 def gain_at(system: Plant, omega: float) -> float:
-    """Returns the largest singular value at the frequency omega [rad/s], computed with twice the precision."""
+    """Returns the largest singular value of the transfer matrix at the frequency omega [rad/s], computed with twice the
+    precision.
+    """
     if system.dt is not None:
         discrete = FEATURES.load("discrete plants")
         at = discrete.mapped_frequency(omega, system.dt) * system.dt / 2
@@ -358,7 +374,7 @@ def gain_at(system: Plant, omega: float) -> float:
 
 
 def level_set_norm(system: Plant) -> tuple[float, float]:
-    """Returns the largest gain of a continuous system on the imaginary axis by level sets, and its frequency [rad/s].
+    """Returns the largest gain of a continuous system on the imaginary axis, found by level sets, and its frequency [rad/s].
 
     Eigenvalues only select frequencies, and the transfer function gives the gains. The method therefore needs no tolerance to
     decide whether an eigenvalue is imaginary.
@@ -367,7 +383,7 @@ def level_set_norm(system: Plant) -> tuple[float, float]:
 
 
 def by_level_sets(gain: Gain) -> tuple[float, float]:
-    """Returns the largest gain on an interval by level sets, and its frequency [rad/s].
+    """Returns the largest gain on a frequency interval, found by level sets, and its frequency [rad/s].
 
     The gain is infinite if a pole lies on the interval.
     """
@@ -390,11 +406,12 @@ def by_level_sets(gain: Gain) -> tuple[float, float]:
 
 
 def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
-    """Returns frequencies at which the gain may exceed the level, and search widths around them, shapes (k,) [rad/s].
+    """Returns frequencies at which the gain may exceed the level, and the widths of the searches around these frequencies,
+    shapes (k,) [rad/s].
 
     The frequencies are the crossings of the level, the ends of the interval, and the midpoints between neighbouring
-    frequencies. Between two neighbouring crossings, the gain is above the level either everywhere or nowhere. Therefore, if the
-    gain exceeds the level anywhere, it does so at one of these frequencies.
+    frequencies. Between two neighbouring crossings of the level, the gain is either everywhere above the level or nowhere.
+    Therefore, if the gain exceeds the level anywhere, it exceeds the level at one of the returned frequencies.
     """
     crossings = level_crossings(gain.system, level)
     crossings = np.concatenate([gain.edges[:1], crossings[(crossings > gain.low) & (crossings < gain.high)], gain.edges[1:]])
@@ -403,9 +420,10 @@ def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
 
 
 def level_crossings(system: Plant, level: float) -> Array:
-    """Returns the nonnegative imaginary parts of the Hamiltonian matrix's eigenvalues in ascending order [rad/s], shape (k,).
+    """Returns the nonnegative imaginary parts of the eigenvalues of the Hamiltonian matrix in ascending order [rad/s], shape
+    (k,).
 
-    The first value is 0. The values include every frequency at which a singular value of Dw + C (s - A)^-1 Bw
+    The first value of the result is 0. The values include every frequency at which a singular value of Dw + C (s - A)^-1 Bw
     equals the level.
     """
     A, Bw, C, Dw = system.A, system.Bw, system.C, system.Dw
@@ -446,12 +464,12 @@ def level_crossings(system: Plant, level: float) -> Array:
 
 
 def sweep_norm(system: Plant) -> tuple[float, float]:
-    """Returns the largest gain on the imaginary axis by a refined frequency sweep, and its frequency [rad/s]."""
+    """Returns the largest gain on the imaginary axis, found by a refined frequency sweep, and its frequency [rad/s]."""
     return by_sweep(Gain(system))
 
 
 def by_sweep(gain: Gain) -> tuple[float, float]:
-    """Returns the largest gain on an interval by a frequency sweep, and its frequency [rad/s].
+    """Returns the largest gain on a frequency interval, found by a frequency sweep, and its frequency [rad/s].
 
     The gain is infinite if a pole lies on the interval.
     """

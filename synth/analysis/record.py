@@ -1,7 +1,7 @@
-"""Certificates as plain data, for logs and for vehicle files with designed gains.
+"""Certificates as plain data that can be written to logs and to vehicle files with designed gains.
 
-A record contains the numbers that a check cannot recompute: X of (20), and the dual certificates of the lower bound. A record
-also contains the claimed norm and bounds, so that a check can compare them with the recomputed values.
+A record contains the numbers that a check cannot recompute: the matrix X of (20), and the dual certificates of the lower bound.
+A record also contains the claimed norm and bounds, so that a check can compare these claims with the recomputed values.
 """
 
 from collections.abc import Mapping
@@ -38,7 +38,7 @@ SAME = 1e-9  # allowed relative difference between the results of two computers,
 
 
 def to_record(certificate: Certificate) -> dict[str, Any]:
-    """Returns the claims and proofs of a certificate for JSON and TOML, without absent or infinite values."""
+    """Returns the claims and proofs of a certificate in a form for JSON and TOML, without absent or infinite values."""
     below = certificate.below
     record: dict[str, Any] = {
         "norm": certificate.norm.value,
@@ -54,7 +54,9 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
 
 
 def bound_record(bound: SampledBound | None) -> dict[str, Any]:
-    """Returns the lower bound of a sampled-data loop and its proof, in the format of a record; empty if there is no bound."""
+    """Returns the lower bound of a sampled-data loop and the proof of this bound, in the format of a record; empty if there is
+    no bound.
+    """
     return {SAMPLED_BOUND: bound.level, SAMPLED_PROOF: _proof_record(bound.proof)} if bound is not None else {}
 
 
@@ -70,17 +72,17 @@ def _proof_record(below: LowerBound) -> dict[str, Any]:
 
 
 def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[Array | None, float | None, LowerBound]:
-    """Returns X and eta of (20), and the lower bound that the record proves. The computation uses numpy alone.
+    """Returns X and eta of (20), and the lower bound that the record proves. All results are computed with numpy only.
 
-    X and eta are both None if one of them is absent.
+    If X or eta is absent, X and eta are both None.
 
     Args:
         record: record from `to_record`.
         plant: plant with n states, without the states of the controller.
-        kept: number of controller states; X has rows and columns for these states, too.
+        kept: number of controller states; X has rows and columns for the states of the controller, too.
 
     Raises:
-        InputError: a key is unknown, or its value is null or malformed.
+        InputError: a key is unknown, or the value of a key is null or malformed.
     """
     for key in record:
         if key not in CLAIMS + PROOFS:
@@ -123,7 +125,9 @@ def read_sampled_bound(record: Mapping[str, Any], problem: "SampledDataProblem")
 
 
 def _prove_bound(record: Mapping[str, Any], plant: Plant) -> LowerBound:
-    """Returns the lower bound that the proofs in a record prove. For arguments and errors, see `read_proof`."""
+    """Returns the lower bound that follows from the proofs in a record. For arguments and errors, see the function
+    `read_proof`.
+    """
     lower_bound = LowerBound(0.0)
     limit_at = _number(record, "limit_at")
     if limit_at is not None:
@@ -143,7 +147,7 @@ def _prove_bound(record: Mapping[str, Any], plant: Plant) -> LowerBound:
 
 
 def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[str]:
-    """Returns descriptions of the claims in a record that differ from the recomputed certificate."""
+    """Returns descriptions of those claims in a record that differ from the recomputed certificate."""
     true_record = to_record(certificate)
     wrong = []
     if certificate.proof is None and "bound" in record:

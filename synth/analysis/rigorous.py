@@ -3,11 +3,11 @@
 Matrices of integers are numpy arrays of Python integers. Elimination is fraction-free (Bareiss 1968): every intermediate entry
 is a minor of the matrix, so the size of the integers grows only with the number of rows.
 
-The definiteness of M is tested with a Cholesky decomposition of M - c I in floating point. If the decomposition succeeds, M is
-positive definite in exact arithmetic, provided that c exceeds the rounding errors (Rump 2006, Verification of positive
-definiteness, BIT 46, 433-452). The computed factor R satisfies R'R = M - c I + D with |D| <= d d', where d_j^2 = gamma_j / (1 -
-gamma_j) M_jj, and gamma_j is about j times the unit roundoff. The test never accepts a matrix that is not positive definite.
-The test rejects a positive definite matrix that rounding could make singular.
+Whether M is positive definite is tested with a Cholesky decomposition of M - c I in floating point. If the decomposition
+succeeds, M is positive definite in exact arithmetic, provided that c exceeds the rounding errors (Rump 2006, Verification of
+positive definiteness, BIT 46, 433-452). The computed factor R satisfies R'R = M - c I + D with |D| <= d d', where d_j^2 =
+gamma_j / (1 - gamma_j) M_jj, and gamma_j is about j times the unit roundoff. The definiteness test never accepts a matrix that
+is not positive definite. The definiteness test rejects a positive definite matrix that rounding could make singular.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ def integers(matrix: Array) -> tuple[Array, int]:
 
 
 def floats(matrix: Array, unit: Fraction = Fraction(1)) -> Array:
-    """Returns `unit` times a matrix of integers as floats. Every entry is rounded once.
+    """Returns `unit` times a matrix of integers as floats. Every entry of the result is rounded once.
 
     Raises:
         OverflowError: an entry is too large for a float.
@@ -38,7 +38,9 @@ def floats(matrix: Array, unit: Fraction = Fraction(1)) -> Array:
 
 
 def product(left: Array, right: Array) -> Array:
-    """Returns left @ right for matrices of integers. If the inner dimension is 0, the product is zero."""
+    """Returns the product left @ right for matrices of integers. If the inner dimension of the matrices is 0, the product is
+    zero.
+    """
     return left @ right if left.shape[1] else zeros(len(left), right.shape[1])
 
 
@@ -60,11 +62,12 @@ PRIME = 2**31 - 1  # the product of two remainders fits into 64 bits
 
 
 def span_all(rows: Array, step: Array) -> bool:
-    """Returns True only if the rows of R, R S, R S^2, ... span the whole space, where R is `rows` and S is `step`.
+    """Returns True only if the rows of R, R S, R S^2, ... span the whole space, where R is the matrix `rows` and S the matrix
+    `step`.
 
     If R and S are the output matrix and the state matrix of a plant, the plant is then observable. The rank is computed modulo
-    a prime, and it never exceeds the true rank. The result True is therefore a proof, but the result False may be due to an
-    unlucky prime.
+    a prime, and it never exceeds the true rank. The result True is therefore a proof, but the result False may only be due to
+    an unlucky prime.
 
     Args:
         rows: matrix of integers, shape (d, n).
@@ -88,12 +91,13 @@ def span_all(rows: Array, step: Array) -> bool:
 
 
 class Nullspace:
-    """Solutions Phi of K' Phi = 0 for a matrix of integers K, shape (N, c). Some rows of Phi determine the other rows.
+    """Solutions Phi of K' Phi = 0 for a matrix of integers K, shape (N, c). Some rows of Phi, the free rows, determine the
+    remaining rows.
 
     Attributes:
-        pivots: indices of the rows of Phi that follow from the free rows; the number of these rows is the rank of K.
-        free: indices of the rows of Phi that may be chosen freely.
-        independent: indices of columns of K that form a basis of its column space.
+        pivots: indices of those rows of Phi that follow from the free rows; the number of pivots is the rank of K.
+        free: indices of those rows of Phi that may be chosen freely.
+        independent: indices of those columns of K that form a basis of the column space of K.
     """
 
     def __init__(self, K: Array) -> None:
@@ -136,7 +140,9 @@ class Nullspace:
 
 
 def _similar_columns(rows: Array) -> tuple[Array, Array]:
-    """Divides rows by their common factors, scales columns to similar size by powers of two, and returns rows and powers."""
+    """Divides the rows by their common factors, and scales the columns to similar size by powers of two. Returns the scaled
+    rows and the powers of two.
+    """
     for i, row in enumerate(rows):
         rows[i] = row // (np.gcd.reduce(row) or 1)
     if not rows.size:
@@ -148,10 +154,10 @@ def _similar_columns(rows: Array) -> tuple[Array, Array]:
 
 
 def without_factors(columns: Array) -> tuple[Array, int]:
-    """Divides columns by their common factors, and scales them to similar size.
+    """Divides the columns of a matrix by their common factors, and scales the columns to similar size.
 
     Returns:
-        The columns, and a power of two close to the largest entry of every column.
+        The new columns, and a power of two close to the largest entry of every column.
     """
     columns = columns.copy()
     for j in range(columns.shape[1]):
@@ -184,12 +190,12 @@ TINY = 1e-100  # more than the sum of all underflow errors in one proof, if the 
 
 @dataclass(frozen=True)
 class Definiteness:
-    """Result of a definiteness test of a symmetric matrix, scaled to diagonal entries between 1/2 and 2.
+    """Result of a definiteness test of a symmetric matrix that was scaled to diagonal entries between 1/2 and 2.
 
     Attributes:
         smallest: computed smallest eigenvalue; NaN if a diagonal entry is not positive or an entry is out of range.
-        rounding: bound on the effect of rounding errors, which the smallest eigenvalue must exceed for a proof.
-        proved: True if the matrix is proved positive definite despite rounding.
+        rounding: bound on the effect of rounding errors; for a proof, the smallest eigenvalue must exceed this bound.
+        proved: True if the matrix is proved positive definite even with rounding errors.
     """
 
     smallest: float
@@ -198,14 +204,15 @@ class Definiteness:
 
 
 def radius_of_solution(residual: float, contraction: float, curvature: float) -> float | None:
-    """Returns a radius around a point x within which a quadratic equation f(x) = 0 provably has a solution, or None.
+    """Returns a radius around a point x within which a quadratic equation f(x) = 0 provably has a solution; None if the proof
+    fails.
 
     The proof uses Brouwer's fixed-point theorem: x - R f(x) maps the ball around the point into itself (Krawczyk).
 
     Args:
-        residual: bound on |R f| at the point, where R approximates the inverse of the derivative f'.
-        contraction: bound on |I - R f'| at the point.
-        curvature: bound on twice the quadratic part of |R f|, divided by the square of the distance from the point.
+        residual: bound on |R f| at the point x, where R approximates the inverse of the derivative f'.
+        contraction: bound on |I - R f'| at the point x.
+        curvature: bound on twice the quadratic part of |R f|, divided by the square of the distance from the point x.
     """
     if not contraction < 0.5:
         return None
@@ -214,9 +221,9 @@ def radius_of_solution(residual: float, contraction: float, curvature: float) ->
 
 
 def definiteness(M: Array) -> Definiteness:
-    """Tests whether every symmetric matrix whose entries round to those of M is positive definite.
+    """Tests whether all symmetric matrices whose entries round to those of M are positive definite.
 
-    M must be exactly symmetric.
+    The matrix M must be exactly symmetric.
     """
     scaled, shift, proved = _definite(M[None], UNIT * np.abs(M)[None])
     if scaled is None:
@@ -228,8 +235,8 @@ def definite_beyond(M: Array, lost: Array) -> bool:
     """Returns True if all matrices of a stack are proved positive definite, even if their entries have errors of up to `lost`.
 
     Args:
-        M: V matrices, shape (V, k, k); only their symmetric parts are used.
-        lost: bound on the error of each entry, shape (V, k, k).
+        M: stack of V matrices, shape (V, k, k); only the symmetric parts of the matrices are used.
+        lost: bound on the error of each matrix entry, shape (V, k, k).
     """
     return _definite((M + M.swapaxes(-1, -2)) / 2, lost)[2]
 

@@ -1,29 +1,30 @@
 """Sampled-data loops: a continuous plant with sampled measurements and held inputs, lifted to a discrete plant.
 
-Over a sample period of T seconds, z and w are functions of time. For a level gamma of the L2 gain, there is a discrete plant
-with the same number of states,
+During a sample period of T seconds, z and w are functions of time. For a level gamma of the L2 gain, there is a discrete plant
+with the same number of states as the continuous plant,
 
     x[k+1] = Ad x[k] + Bd w_d[k],    z_d[k] = Cd x[k].
 
-Consider any controller that acts at the samples. The L2 gain from w to z is below gamma if and only if the l2 gain from w_d to
-z_d is below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). If the held inputs are constant states of the plant, and w is in
-units of gamma, the matrices of the discrete plant are
+Consider any controller that acts only at the samples. The L2 gain from w to z is below gamma if and only if the l2 gain from
+w_d to z_d is below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). If the held inputs are constant states of the plant, and w is
+in units of gamma, the matrices of the discrete plant are
 
     H = [A + Bw R Dw' C, Bw R Bw'; -C' (I + Dw R Dw') C, -A' - C' Dw R Bw'],    R = (I - Dw' Dw)^-1,    S = exp(T H),
 
     Ad = S22^-T,    Bd Bd' = S12 S22^-1,    Cd' Cd = -S22^-1 S21,
 
-if S22 is invertible for all times in (0, T]. Otherwise, the gain within one period is at least gamma, before any force can
-respond to w.
+if the matrix S22 is invertible at all times in (0, T]. If S22 is singular at some time in (0, T], the gain within one period is
+at least gamma, before any force can respond to w.
 
-The entries of S grow without bound as the period T grows. Therefore, Ad, Bd Bd' and Cd' Cd are first computed for a short time,
-which is then doubled repeatedly. For two consecutive intervals 1 and 2, the matrices of the combined interval are
+The entries of S grow without bound as the period T grows. Therefore, Ad, Bd Bd' and Cd' Cd are first computed for a short time
+interval, whose length is then doubled repeatedly. For two consecutive intervals 1 and 2, the matrices of the combined interval
+are
 
     Ad = Ad2 M Ad1,    Bd Bd' = Bd2 Bd2' + Ad2 M Bd1 Bd1' Ad2',    Cd' Cd = Cd1' Cd1 + Ad1' Cd2' Cd2 M Ad1,
 
-with M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The combined interval has such matrices if and only if both intervals have them and Bd1
-Bd1' Cd2' Cd2 has no eigenvalue of 1 or more. No digits are lost by cancellation. The code computes the difference Ad - I
-instead of Ad, because this difference is small at a fast sample rate.
+where M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The matrices of the combined interval exist if and only if both intervals have them and
+all eigenvalues of Bd1 Bd1' Cd2' Cd2 are below 1. Doubling the time in this way loses no digits by cancellation. The code
+computes the difference Ad - I instead of Ad, because the difference is small if the sample rate is high.
 """
 
 import math
@@ -47,8 +48,8 @@ TERMS = 14  # number of terms in the series of S; the first omitted term is 0.5^
 
 @dataclass(frozen=True, eq=False)
 class LiftedPlant:
-    """Discrete plant that is equivalent to a continuous plant for one level of the L2 gain. Its states are the n plant states
-    and the k held inputs.
+    """Discrete plant that is equivalent to a continuous plant for one level of the L2 gain. The states of the discrete plant
+    are the n plant states and the k held inputs.
 
     Attributes:
         increment: Ad - I, for the state matrix Ad of the discrete plant, shape (n + k, n + k).
@@ -76,7 +77,7 @@ class LiftedPlant:
         return _root(self.CdCd).T
 
     def followed_by(self, later: "LiftedPlant") -> "LiftedPlant | None":
-        """Returns the discrete plant over this interval and the next interval together.
+        """Returns the discrete plant over an interval that joins this interval and the next one.
 
         The result is None if the gain within the combined interval is at least the level.
         """
@@ -130,7 +131,7 @@ def with_inputs(plant: Plant, acting: Array) -> tuple[Array, Array, Array]:
 
 
 def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> LiftedPlant | None:
-    """Returns the discrete plant over one part of the period, computed by repeatedly doubling a short time."""
+    """Returns the discrete plant over one part of the period; a short time is doubled repeatedly until it covers this part."""
     A, Bw, C = with_inputs(plant, acting)
     A, Bw, C, scale = in_own_units(A, Bw / gamma, C, len(plant.A))
     n = len(A)
@@ -162,7 +163,7 @@ def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> Lifted
 
 
 def in_own_units(A: Array, Bw: Array, C: Array, n: int) -> tuple[Array, Array, Array, Array]:
-    """Returns A, Bw and C in state units that make H small, and these units, shape (N,).
+    """Returns A, Bw and C in state units that make the Hamiltonian matrix H small, and these units, shape (N,).
 
     Only the first n states have dynamics; the other states are constant.
     """
@@ -186,7 +187,7 @@ def _symmetric(matrix: Array) -> Array:
 def _root(matrix: Array) -> Array:
     """Returns L with L L' = matrix.
 
-    The matrix must be positive semidefinite up to rounding. The rows of the matrix may have different units.
+    The matrix to be decomposed must be positive semidefinite up to rounding. The rows of this matrix may have different units.
     """
     size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     unit = np.where(size > 0, size, 1.0)
@@ -196,14 +197,15 @@ def _root(matrix: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SampledLoop(CheckedFields):
-    """Closed loop of a continuous plant and a discrete controller.
+    """Closed loop of a continuous plant and a discrete controller, with sampled measurements.
 
     At a sample, let x be the states of the plant, s the states of the controller, and p = [x; s]. Then
 
         u = K p,    s+ = A_register p + B_register u_a,
 
-    where u_a is the force that acts at the end of the period. The measurement noise is a sequence e. The energy of e is the sum
-    of the squares of its values. The noise adds `noise` e to [u; s+], where `noise` is a matrix.
+    where u_a denotes the force that acts at the end of the period. The measurement noise is a sequence e. The energy of e is
+    the sum of the squared values of e. The matrix `noise` times the vector e is added to the computed forces u and the next
+    controller states s+.
 
     Attributes:
         plant: plant in continuous time with n states and m inputs.
@@ -236,14 +238,14 @@ class SampledLoop(CheckedFields):
     @classmethod
     @check_arguments
     def of_gain(cls, plant: Plant, K: Matrix, Cy: Matrix, sample_period: PositiveTime, delay: NotNegative = 0.0) -> "SampledLoop":
-        """Returns the sampled-data loop of a static gain, u = K y at every sample.
+        """Returns the sampled-data loop of a static gain, with u = K y at every sample.
 
         Args:
             plant: plant in continuous time with n states and m inputs.
             K: gain, shape (m, q).
             Cy: matrix of the measurements y = C_y x, shape (q, n).
             sample_period: sample period [s].
-            delay: delay from a measurement to the force computed from it [samples]; may be fractional.
+            delay: delay [samples] from a measurement to the force that is computed from this measurement; may be fractional.
 
         Returns:
             Sampled-data loop.
@@ -261,11 +263,11 @@ class SampledLoop(CheckedFields):
         """Returns the sampled-data loop of a static gain, or of a discrete control law with k states.
 
         Args:
-            plant: plant with n states, m inputs and q measurements y = C_y x + Dyu u + `noise` e. In this
-                equation, u is the force just before the sample at which y is measured.
+            plant: plant with n states, m inputs and q measurements y = C_y x + Dyu u + `noise` e. In y = C_y x + Dyu u +
+                `noise` e, u is the force just before the sample at which y is measured.
             law: matrix [D, C; B, A] of the law, shape (m + k, q + k); for k = 0, the gain itself.
-            pieces: parts of the sample period, in order of time.
-            noise: matrix from the noise to the measurements, shape (q, j); j may be 0.
+            pieces: parts of the sample period with constant forces, in order of time.
+            noise: matrix from the noise signals to the measurements, shape (q, j); j may be 0.
         """
         (n, m), q = plant.B.shape, len(plant.Cy)
         k, previous = len(law) - m, m if np.any(plant.Dyu) else 0
@@ -283,7 +285,7 @@ class SampledLoop(CheckedFields):
 
     @property
     def largest_delay(self) -> int:
-        """Largest delay of a force [samples]."""
+        """Largest delay of any force [samples]."""
         return max(piece.delay_samples for piece in self.pieces)
 
     @property
@@ -293,9 +295,10 @@ class SampledLoop(CheckedFields):
 
     @cached_property
     def input_selections(self) -> list[tuple[float, Array]]:
-        """Duration [s] of each of the p parts of the period, and the matrix that selects its acting inputs, shape (m, m p).
+        """Duration [s] of each of the p parts of the period, and the matrix, shape (m, m p), that selects the inputs that act
+        in this part.
 
-        Each part of the period has its own held inputs.
+        Each part of the period has held inputs that act only during this part.
         """
         m, count = len(self.K), len(self.pieces)
         return [(piece.duration, np.kron(np.eye(count)[i], np.eye(m))) for i, piece in enumerate(self.pieces)]
@@ -316,21 +319,22 @@ class SampledLoop(CheckedFields):
 
     @cached_property
     def with_noise(self) -> tuple[Array, Array]:
-        """`K` and `A_register`, each with an added column per noise signal, shapes (m, n + k + j) and (k, n + k + j)."""
+        """`K` and `A_register`, each with one more column for each noise signal, shapes (m, n + k + j) and (k, n + k + j)."""
         m = len(self.K)
         noise = np.zeros((m + len(self.A_register), 0)) if self.noise is None else self.noise
         return np.hstack([self.K, noise[:m]]), np.hstack([self.A_register, noise[m:]])
 
     def closed(self, increment: Array) -> tuple[Array, Array]:
-        """Returns the transition matrix of the loop minus the identity, and the matrix from its states to [x; held inputs].
+        """Returns the transition matrix of the loop minus the identity, and the matrix from the states of the loop to [x; held
+        inputs].
 
         Args:
             increment: transition matrix of [x; held inputs] over one period minus the identity, shape (n + i, n + i).
 
         Returns:
             The transition matrix minus the identity, shape (N, N + j), and the matrix from the N states to [x; held inputs],
-            shape (n + i, N + j). The last j columns belong to the noise. Delayed forces are sorted by the time at which they
-            act.
+            shape (n + i, N + j). The last j columns belong to the noise signals. Delayed forces are sorted by the time at which
+            they act.
         """
         n, (m, known), late = len(self.plant.A), self.K.shape, self.largest_delay
         gain, memory = (np.insert(matrix, [known] * late * m, 0.0, axis=1) for matrix in self.with_noise)
@@ -344,9 +348,9 @@ class SampledLoop(CheckedFields):
         return np.vstack([increment[:n] @ start, rest - np.eye(len(rest), columns, n)]), start
 
     def at_angles(self, increment: Array, angles: Array) -> tuple[Array, Array]:
-        """Returns the loop at the points zeta = exp(j angle) of the unit circle.
+        """Returns the matrices of the loop at points zeta = exp(j angle) on the unit circle.
 
-        At these points, a delay is a multiplication by a power of zeta, so delayed forces need no states.
+        At these points of the unit circle, a delay is a multiplication by a power of zeta, so delayed forces need no states.
 
         Args:
             increment: transition matrix of [x; held inputs] over one period minus the identity, as in `closed`.
@@ -354,7 +358,7 @@ class SampledLoop(CheckedFields):
 
         Returns:
             zeta I minus the transition matrix of p, shape (F, n + k, n + k + j), and the matrix from p to [x; held inputs],
-            shape (F, n + i, n + k + j). The last j columns belong to the noise.
+            shape (F, n + i, n + k + j). The last j columns belong to the noise signals.
         """
         n, known, turned, (gain, memory) = len(self.plant.A), self.K.shape[1], np.exp(1j * angles), self.with_noise
         columns = gain.shape[1]
@@ -371,17 +375,17 @@ class SampledLoop(CheckedFields):
 class SampledDataProblem:
     """Plant whose m forces are held between samples and delayed by a number of samples.
 
-    For a level of the L2 gain, the discrete plant has the plant's states, and also previous forces that are still delayed or
-    measured. The latest force comes first. A static gain feeds back only measurements, not the previous forces. A controller
-    that uses its own previous output is a control law with states.
+    For a level of the L2 gain, the states of the discrete plant are the plant's states and those previous forces that are
+    delayed or measured. The latest of these forces comes first. A static gain feeds back only measurements, not the previous
+    forces. A controller that uses its previous output must be given as a control law with states.
 
-    Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. If the noise is held over T seconds, its
-    energy is T s^2 in units of w. The noise of a measurement is therefore s / sqrt(T) times a sequence whose energy is the sum
-    of its squares.
+    Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. If measurement noise of rms s is held over T
+    seconds, its energy is T s^2 in units of w. The noise of a measurement is therefore modelled as s / sqrt(T) times a sequence
+    whose energy is the sum of its squared values.
 
     Attributes:
-        plant: plant in continuous time with n states and q measurements. The Dyu of this plant is the effect on y of the force
-            that acts just before a sample.
+        plant: plant in continuous time with n states and q measurements. The matrix Dyu of the plant describes the effect on y
+            of the force that acts just before a sample.
         pieces: parts of the sample period with constant forces; there are two parts if the delay includes a fraction of a
             period.
         rms: rms noise of each measurement, in the unit of the measurement, shape (q,); None without noise.
@@ -403,12 +407,12 @@ class SampledDataProblem:
 
     @cached_property
     def stored_forces(self) -> int:
-        """Number of previous forces that are states of the discrete plant, per input."""
+        """Number of previous forces of each input that are states of the discrete plant."""
         return max(self.pieces[0].delay_samples, self.before if np.any(self.plant.Dyu) else 0)
 
     @cached_property
     def rows(self) -> Array:
-        """Matrix C_y on all states of the discrete plant, shape (q, n + k m), with k = `stored_forces`."""
+        """Matrix C_y extended to all states of the discrete plant, shape (q, n + k m), with k = `stored_forces`."""
         (q, m), k = self.plant.Dyu.shape, self.stored_forces
         past = np.zeros((q, k * m))
         if np.any(self.plant.Dyu):
@@ -417,18 +421,20 @@ class SampledDataProblem:
 
     @property
     def without_delay(self) -> "SampledDataProblem":
-        """Copy of this problem without delay, and without an effect of the forces on the measurements."""
+        """Copy of this problem in which there is no delay and the forces have no effect on the measurements."""
         return replace(self, plant=self.plant.without_feedthrough, pieces=(HoldInterval(self.period, 0),))
 
     @cached_property
     def noise(self) -> Array:
-        """Matrix from a noise sequence of energy 1 to the measurements, shape (q, j), one column for each noisy measurement."""
+        """Matrix from a noise sequence of energy 1 to the measurements, shape (q, j), with one column for each noisy
+        measurement.
+        """
         if self.rms is None:
             return np.zeros((len(self.plant.Cy), 0))
         return np.diag(self.rms)[:, self.rms > 0] / math.sqrt(self.period)
 
     def of(self, kept: Sequence[int]) -> "SampledDataProblem":
-        """Returns this problem with only the measurements whose indices are in `kept`."""
+        """Returns the same problem with only those measurements whose indices are in `kept`."""
         rms = None if self.rms is None else self.rms[kept]
         return replace(self, plant=self.plant.rows(kept), rms=rms)
 
@@ -439,8 +445,8 @@ class SampledDataProblem:
     def at(self, gamma: float) -> Plant | None:
         """Returns the discrete plant of the level gamma; None if the gain within one period is already at least gamma.
 
-        The norm of a loop with this plant is below 1 if and only if the L2 gain is below gamma. The measurements of the
-        returned plant are `rows` times its states, plus the noise.
+        The norm of a loop with the discrete plant is below 1 if and only if the L2 gain is below gamma. The measurements of the
+        returned plant are the matrix `rows` times the states of this plant, plus the noise.
         """
         (n, m), k = self.plant.B.shape, self.stored_forces
         count = len(self.pieces)

@@ -1,17 +1,19 @@
-"""L2 gain of a sampled-data loop from the continuous w to the continuous z: the exact value and a lower bound.
+"""L2 gain of a sampled-data loop from w to z, both in continuous time: the exact value and a lower bound.
 
-The first method tests values of the gain, called levels. A level exceeds the gain if the discrete plant of this level
-(`sampled_loop.py`) gives a stable closed loop with an l2 norm below 1. The bilinear transform maps this loop to a continuous
-loop with the same gains. The eigenvalues of the Hamiltonian matrix of the continuous loop give the angles on the unit circle at
-which a gain is 1. The gain is evaluated at these angles and between them. At the angle of the largest gain, the level is
-changed until this gain is 1. This level is then the gain for a disturbance whose phase advances by this angle per sample.
+The first method tests values of the L2 gain, which are called levels. A level exceeds the gain if the discrete plant of this
+level (`sampled_loop.py`), with the controller, gives a stable closed loop with an l2 norm below 1. The bilinear transform maps
+the closed discrete loop to a continuous loop with the same gains. The eigenvalues of the Hamiltonian matrix of the continuous
+loop give the angles on the unit circle at which some gain is 1. The gain is evaluated at these angles and at angles between
+them. At the angle of the largest gain, the level is changed until the largest gain is 1. The resulting level is the L2 gain for
+a disturbance whose phase advances by the angle of the largest gain per sample.
 
-The second method gives a lower bound and does not use levels. This method considers disturbances that are polynomials of low
-degree over each part of the period. From sample to sample, the phase of these disturbances advances by a fixed angle. For these
-disturbances, matrix exponentials give x and the energy of z exactly. The largest gain among these disturbances is therefore the
-largest singular value of one matrix, and an actual disturbance reaches this gain. The method is a fast lifting (Keller,
-Anderson 1992), but it uses z itself instead of samples of z. The worst disturbance is smooth, and small changes of it do not
-affect the gain to first order. The error therefore decreases with the power 2 (degree + 1) of the length of the parts.
+The second method gives a lower bound and does not use levels. The second method considers disturbances that are polynomials of
+low degree over each part of the period. From sample to sample, the phase of the polynomial disturbances advances by a fixed
+angle. For these disturbances, matrix exponentials give the states x and the energy of z exactly. The largest gain among the
+polynomial disturbances is therefore the largest singular value of one matrix, and an actual disturbance reaches this gain. The
+second method is a form of fast lifting (Keller, Anderson 1992), but it uses z itself instead of samples of z. The worst
+disturbance is smooth, and small changes of this disturbance do not affect the gain to first order. The error of the lower bound
+therefore decreases with the power 2 (degree + 1) of the length of the parts.
 """
 
 import math
@@ -38,7 +40,9 @@ SHORT = 1e-7  # a lower bound within this relative distance of the norm is not r
 
 
 def reached_near(loop: SampledLoop, angle: float, norm: float) -> float:
-    """Returns `reached_gain` at an angle; the number of parts grows until the gain is near the norm or the parts too many."""
+    """Returns `reached_gain` at an angle; the number of parts grows until the gain is near the norm or the number reaches its
+    limit.
+    """
     fastest = np.abs(np.linalg.eigvals(balance(loop.plant.A)[0])).max(initial=0.0)
     each = len(loop.pieces) * (DEGREE + 1) * loop.plant.Bw.shape[1]
     most = max(FEWEST, MOST_COLUMNS // each)
@@ -56,9 +60,9 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
 
     Args:
         loop: stable loop.
-        angle: phase advance of the disturbance per sample [rad]; NaN for a disturbance of one period only.
+        angle: phase advance of the disturbance per sample [rad]; NaN for a disturbance that acts in one period only.
         parts: number of parts into which each hold interval of the period is divided.
-        degree: degree of the polynomials.
+        degree: degree of the polynomials in each part.
     """
     plant, alone = loop.plant, math.isnan(angle)
     n = len(plant.A)
@@ -85,12 +89,12 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
 
 
 def _reached(matrix: Array, start: Array, into: Array, level: float) -> Array:
-    """Returns [x; held inputs] at the samples for disturbances and noise, complex, shape (F, n + i, c + j).
+    """Returns the vectors [x; held inputs] at the samples that disturbances and noise cause, complex, shape (F, n + i, c + j).
 
     Args:
         matrix, start: matrices of the loop at F angles; see `SampledLoop.at_angles`.
         into: matrix from the disturbances within one period to x at the end of the period, shape (n, c).
-        level: level of the L2 gain, by which the noise is divided.
+        level: level of the L2 gain; the noise is divided by this level.
     """
     (F, known, columns), (n, c) = matrix.shape, into.shape
     driven = np.zeros((F, known, c + columns - known), dtype=complex)
@@ -101,11 +105,12 @@ def _reached(matrix: Array, start: Array, into: Array, level: float) -> Array:
 
 
 def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: int) -> tuple[Array, Array, Array]:
-    """Returns matrices for h seconds: state transition, effect of polynomials on the state, and a root of the energy of z.
+    """Returns matrices for h seconds: state transition, effect of polynomial disturbances on the state, and a square root of
+    the energy matrix of z.
 
-    The energy matrix itself is never computed: if the units of the states differ a lot, rounding would destroy its small
-    entries. The root consists of z at the nodes of a quadrature. An orthogonal transformation compresses the root without loss
-    of digits in any column.
+    The energy matrix itself is never computed: if the units of the states differ a lot, rounding would destroy the small
+    entries of this matrix. The root consists of the values of z at the nodes of a quadrature formula. An orthogonal
+    transformation compresses the root without loss of digits in any column.
 
     Each polynomial is represented by its coefficients in a basis of Legendre polynomials of energy 1. Only the first n states
     have dynamics; the other states are constant.
@@ -138,7 +143,7 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
 
 
 def _small(root: Array) -> Array:
-    """Returns an R with R' R = root' root that has no more rows than columns."""
+    """Returns a matrix R that has no more rows than columns and satisfies R' R = root' root."""
     return np.asarray(np.linalg.qr(root, mode="r"))
 
 
@@ -153,15 +158,15 @@ AT_ONCE = 4096  # number of frequencies that are computed together; a larger num
 def sampled_norm(loop: SampledLoop, near: Positive = 1.0) -> SampledNorm:
     """Returns the L2 gain of a sampled-data loop from w to z, with a relative error of at most 1e-8.
 
-    If the loop has measurement noise, the noise counts as an additional disturbance.
+    If the loop contains measurement noise, this noise counts as an additional disturbance.
 
     Args:
         loop: sampled-data loop, stable or not.
         near: positive estimate of the gain, from which the search starts.
 
     Returns:
-        The L2 gain, levels just below and above it, and the gain of an actual disturbance, as a `SampledNorm`. All these values
-        are infinite if the loop is not stable.
+        The L2 gain, a level just below it, a level just above it, and the gain of an actual disturbance, as a `SampledNorm`.
+        All returned values are infinite if the loop is not stable.
 
     Example:
         >>> from synth import GeneralizedPlant, SampledLoop, sampled_norm
@@ -226,10 +231,10 @@ class _Level:
 
 
 class _Search:
-    """Search for the level at which the largest gain of the discrete loop is 1."""
+    """Search for the level of the L2 gain at which the largest gain of the discrete loop is 1."""
 
     def __init__(self, loop: SampledLoop, poles: Array) -> None:
-        """Prepares the search for a stable loop.
+        """Prepares the search for the L2 gain of a stable loop.
 
         Args:
             loop: stable sampled-data loop.
@@ -239,7 +244,7 @@ class _Search:
         self.poles = np.log(poles[poles != 0].astype(complex))  # poles of the equivalent continuous loop [1/sample]
 
     def run(self, near: float) -> SampledNorm:
-        """Runs the search, starting at the level `near`."""
+        """Runs the search for the gain, starting at the level `near`."""
         level, below, there = self._first(near)
         _, angle = self._highest(there)
         for _ in range(ROUNDS):
@@ -264,7 +269,9 @@ class _Search:
         return None if lifted_loop is None else _Level(self.loop, lifted_loop, level)
 
     def _first(self, level: float) -> tuple[float, float, _Level]:
-        """Returns a level with a discrete plant, a lower level without one (or 0), and the loop of the higher level."""
+        """Returns a level that has a discrete plant, a lower level that has none (or 0), and the discrete loop of the higher
+        level.
+        """
         below = 0.0
         for _ in range(ROUNDS):
             there = self._at(level)
@@ -274,9 +281,9 @@ class _Search:
         raise ArithmeticError("no bound was found on the gain of the sampled-data loop within one period")
 
     def _highest(self, there: _Level) -> tuple[float, float]:
-        """Returns the largest gain of the discrete loop of a level, and the angle of this gain [rad].
+        """Returns the largest gain of the discrete loop that belongs to a level, and the angle of this gain [rad].
 
-        The search uses a grid of angles that is dense near every pole, and then refines the highest points.
+        The search evaluates a grid of angles that is dense near every pole, and then refines the highest points of the gain.
         """
         turn, damping = np.abs(np.imag(self.poles)), np.abs(np.real(self.poles))
         about = (turn[:, None] + damping[:, None] * np.linspace(-3, 3, 13)).ravel()
@@ -288,7 +295,8 @@ class _Search:
         return there.climbed(angles[tops], np.maximum(padded[tops + 2] - angles[tops], angles[tops] - padded[tops]))
 
     def _above(self, there: _Level) -> tuple[float, float]:
-        """Returns the largest gain at and between the angles where a gain is 1, and the angle [rad] of this gain.
+        """Returns the largest gain at the angles where a gain is 1 and between these angles, and the angle [rad] of the largest
+        gain.
 
         If the largest gain does not exceed 1, the returned angle is 0.
         """
@@ -300,10 +308,10 @@ class _Search:
         return (float(gains.max()), 0.0) if gains.max() <= 1 else there.climbed(proposed[best], apart[best])
 
     def _gain_at(self, angle: float, level: float, below: float) -> tuple[float, float, bool]:
-        """Returns the level for which the gain of the discrete loop at an angle [rad] is 1, and a level below it.
+        """Returns the level at which the gain of the discrete loop at an angle [rad] is 1, and a lower level.
 
-        The third returned value is True if no discrete plant exists for the lower level. The search is a secant iteration in
-        the logarithms of level and gain, between a level below the result and a level above the result.
+        The third returned value is True if the lower level has no discrete plant. The search is a secant iteration in the
+        logarithms of level and gain; it keeps one level below the result and one level above.
         """
         above, last, first = np.inf, None, level
         for _ in range(ROUNDS):

@@ -18,13 +18,14 @@ SAME = 1e-9  # relative tolerance for rounding when a value is compared with its
 
 @dataclass(frozen=True)
 class Specification:
-    """Quantity for which a controller was designed, or by which it is evaluated, with its value and its limit.
+    """Quantity for which a controller was designed or by which a controller is evaluated, with the value and the limit of this
+    quantity.
 
     Attributes:
         what: name of the quantity.
         value: largest known value of the quantity.
         proved: proved upper bound on the quantity; None if `value` is exact up to rounding.
-        at_most: largest allowed value; None if the quantity is minimised.
+        at_most: largest allowed value of the quantity; None if the quantity is minimised.
         unit: unit of `value`, `proved` and `at_most`.
         where: description of the case in which `value` occurs; may be empty.
         proof: type of the proof, and whether the proof is exact or was computed twice; empty unless the quantity concerns
@@ -41,13 +42,13 @@ class Specification:
 
     @property
     def holds(self) -> bool:
-        """True if the proved bound, or the exact value, does not exceed the limit."""
+        """True if the proved bound does not exceed the limit; without a bound, the exact value is compared with the limit."""
         known = self.value if self.proved is None else self.proved
         return bool(known < float("inf") if self.at_most is None else known <= self.at_most + SAME * abs(self.at_most))
 
     @property
     def proved_text(self) -> str:
-        """Proved upper bound as text."""
+        """Proved upper bound on the quantity, as text."""
         how = f" ({self.proof})" if self.proof else ""
         return "exact" if self.proved is None else "not proved" if self.proved == math.inf else f"{digits(self.proved)}{how}"
 
@@ -92,10 +93,12 @@ class SampledNorm:
         value: L2 gain; infinite if the loop is not stable.
         lower: level of the gain just below `value`.
         upper: level of the gain just above `value`.
-        angle: phase advance of the worst disturbance per sample [rad], from 0 to pi; NaN if there is no worst angle.
-        reached: gain for an actual disturbance, computed by a second method (`sampled_norm.py`); it does not exceed the norm.
-        inside: True if the largest gain already occurs within one period; then no controller with this sample rate can reduce
-            the gain.
+        angle: phase advance of the worst disturbance per sample [rad], from 0 to pi; NaN if the worst disturbance has no such
+            angle.
+        reached: gain for an actual disturbance, computed by a second method (`sampled_norm.py`); this gain does not exceed the
+            norm.
+        inside: True if a disturbance within one period already causes the largest gain; then no controller with this sample
+            rate can reduce the gain.
     """
 
     value: float

@@ -1,11 +1,11 @@
 """Stability of a loop (stable, marginal or unstable), and modes that make stabilisation impossible.
 
 Computed eigenvalues are the exact eigenvalues of a matrix A + E, where |E| is about eps |A|. A pole with the imaginary part
-omega is on the imaginary axis *up to rounding* if such an E can move an eigenvalue to j omega. This is the case if the smallest
+omega is on the imaginary axis *up to rounding* if such an E can move an eigenvalue to j omega. Such an E exists if the smallest
 singular value of A - j omega is at most |E| (Trefethen, Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole,
-the largest such distance from the axis is the condition number of the eigenvalue times |E|.
+the largest distance from the axis that rounding can cause is the condition number of the eigenvalue times |E|.
 
-The criterion also holds for multiple poles, whose condition number is infinite. Rounding moves a double pole by about
+The criterion also holds for multiple poles, although their condition number is infinite. Rounding moves a double pole by about
 sqrt(eps). Nevertheless, a double pole at the origin counts as marginal, and a double pole at -1 counts as stable.
 
 A controller can stabilise a plant only if every mode that does not decay is controllable and observable.
@@ -38,7 +38,7 @@ class Stability:
     Attributes:
         poles: sorted eigenvalues of A [rad/s], complex, shape (n,); for a discrete loop, dimensionless poles z.
         on_axis: mask of the poles that are on the imaginary axis (discrete: on the unit circle) up to rounding, shape (n,).
-        rounding: norm of E, the effect of rounding errors on A [rad/s]; dimensionless for a discrete loop.
+        rounding: norm of E, which describes the effect of rounding errors on A [rad/s]; dimensionless for a discrete loop.
         vectors: right eigenvectors of the balanced A, each of length 1, complex, shape (n, n).
         dt: sample period of a discrete loop [s]; None for a continuous loop.
     """
@@ -51,19 +51,19 @@ class Stability:
 
     @property
     def growth(self) -> Array:
-        """Real parts of the poles (discrete: |z| - 1), shape (n,); negative if the pole decays."""
+        """Real parts of the poles (for a discrete loop: |z| - 1), shape (n,); negative if the pole decays."""
         return np.real(self.poles) if self.dt is None else np.abs(self.poles) - 1
 
     @property
     def rates(self) -> Array:
-        """Magnitudes of the poles [rad/s] (discrete: |z - 1| / dt), shape (n,)."""
+        """Magnitudes of the poles [rad/s] (for a discrete loop: |z - 1| / dt), shape (n,)."""
         return np.abs(self.poles) if self.dt is None else np.abs(self.poles - 1) / self.dt
 
     @property
     def verdict(self) -> str:
         """`STABLE`, `MARGINAL` or `UNSTABLE`.
 
-        A marginal loop has a pole that does not decay, but no pole that is unstable beyond rounding.
+        A marginal loop has a pole that does not decay, but no pole that is unstable by more than rounding errors.
         """
         if np.any(self.growth[~self.on_axis] > 0):
             return UNSTABLE
@@ -78,7 +78,7 @@ class Stability:
     def worst(self) -> complex:
         """Pole that decides the stability: the fastest-growing pole, or a pole on the stability limit if no pole grows.
 
-        For a loop without poles, the value is -inf, or z = 0 if the loop is discrete.
+        For a loop without poles, the attribute is -inf, or z = 0 if the loop is discrete.
         """
         deciding, growth = self.poles, self.growth
         if self.verdict == MARGINAL:
@@ -89,7 +89,7 @@ class Stability:
 
     @property
     def words(self) -> str:
-        """One-line description of the verdict and of the pole that decides it."""
+        """One-line description of the stability verdict and of the pole that decides the verdict."""
         if self.dt is not None:
             where = pole_text(self.worst, self.dt)
             if self.verdict == STABLE:
@@ -107,7 +107,7 @@ class Stability:
 
 
 def stability(A: Array, dt: float | None = None) -> Stability:
-    """Returns the poles of x' = A x, or of x[k+1] = A x[k], and whether they are stable.
+    """Returns the poles of x' = A x, or of x[k+1] = A x[k], and whether the poles are stable.
 
     Args:
         A: finite matrix, shape (n, n).
@@ -121,7 +121,7 @@ def stability(A: Array, dt: float | None = None) -> Stability:
 
 
 def stability_of_balanced(A: Array) -> Stability:
-    """Returns the stability of a continuous loop, given its balanced state matrix; see `stability`."""
+    """Returns the stability of a continuous loop, given the balanced state matrix of the loop; see `stability`."""
     poles, conditions, vectors = _eigen(A)
     on_axis = _within_rounding(A, conditions, 1j * np.imag(poles), np.abs(np.real(poles)))
     return Stability(poles, on_axis, rounding(A), vectors)
@@ -146,7 +146,7 @@ def sampled_growth(Phi: Array) -> float:
 
 
 def is_stable(A: Array, dt: float | None = None) -> bool:
-    """Returns True if every pole is clearly stable, despite rounding errors; see `stability`."""
+    """Returns True if every pole is stable, even if rounding errors are considered; see `stability`."""
     return stability(A, dt).stable
 
 
@@ -159,12 +159,13 @@ def balance(A: Array) -> tuple[Array, Array]:
 
 
 def rounding(A: Array) -> float:
-    """Returns the norm of E, the backward error of the eigenvalues of a balanced matrix of shape (n, n)."""
+    """Returns the norm of E, where E is the backward error of the eigenvalues of a balanced matrix of shape (n, n)."""
     return 10 * np.finfo(float).eps * float(np.linalg.norm(A)) if len(A) else 0.0
 
 
 def pole_text(pole: complex, dt: float | None = None) -> str:
-    """Formats a pole or a conjugate pair with four digits and its unit. A real pole is a rate of growth or decay.
+    """Formats a pole or a conjugate pair of poles as text, with four digits and the unit. A real pole is described as a rate of
+    growth or decay.
 
     For a discrete loop, the text has enough digits to show that z is not on the unit circle.
     """
@@ -179,7 +180,9 @@ def pole_text(pole: complex, dt: float | None = None) -> str:
 
 
 def _eigen(A: Array) -> tuple[Array, Array, Array]:
-    """Returns eigenvalues (complex, sorted), their condition numbers (infinite if defective), and right eigenvectors."""
+    """Returns the eigenvalues (complex, sorted), their condition numbers (infinite for defective eigenvalues), and the right
+    eigenvectors.
+    """
     if not len(A):
         return np.zeros(0, dtype=complex), np.zeros(0), np.zeros((0, 0), dtype=complex)
     poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
@@ -196,7 +199,9 @@ def _on_circle(A: Array, poles: Array, conditions: Array, asked: Array | bool = 
 
 
 def _within_rounding(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
-    """Returns a mask, shape (n,): True for each eigenvalue of a balanced matrix that rounding could move to its point."""
+    """Returns a mask, shape (n,): True for each eigenvalue of a balanced matrix that rounding could move to the corresponding
+    point.
+    """
     allowed = rounding(A)
     # The condition number limits how far a pole can move, to first order. Poles that are much farther from their points are
     # skipped.
@@ -209,10 +214,10 @@ def _within_rounding(A: Array, conditions: Array, points: Array, distances: Arra
 
 
 def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: float) -> dict[tuple[float, float], bool]:
-    """Returns, for each point p, True if a singular matrix exists within the given distance of A - p I.
+    """Returns, for each point p, True if a singular matrix exists within `distance` of A - p I.
 
-    This is the case if the smallest singular value of A - p I is at most the distance. Each point is given by its real part and
-    its imaginary part.
+    A singular matrix exists within this distance if the smallest singular value of A - p I is at most the distance. Each point
+    is given by its real part and its imaginary part.
     """
     points = list(points)
     # A delay adds many states. A Schur form is therefore computed once, so that the bound at each point takes far less time.
@@ -232,7 +237,7 @@ def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: 
 
 
 class _Triangle:
-    """Schur form T of a matrix, divided into k x k blocks, called parts."""
+    """Schur form T of a matrix, divided into blocks (called parts) of size k x k."""
 
     def __init__(self, A: Array) -> None:
         T = linalg.rsf2csf(linalg.schur(A)[0], np.eye(len(A)))[0]
@@ -271,10 +276,11 @@ def _inverse_of_triangle(matrix: Array) -> Array:
 
 
 def beside_weights(plant: Plant, A: Array) -> Array:
-    """Returns the state matrix of a closed loop without the states of weighting filters, whose poles no controller can change.
+    """Returns the state matrix of a closed loop without the states of weighting filters; no controller can change the poles of
+    these filters.
 
     Args:
-        plant: plant without controller, n states.
+        plant: plant without a controller, with n states.
         A: state matrix of a loop whose first n states are the states of the plant, shape (n + k, n + k).
     """
     n = len(plant.A)
@@ -317,10 +323,11 @@ def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[com
 
 
 def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[str]:
-    """Explains why no controller can stabilise the plant. The returned list is empty if no single mode prevents stabilisation.
+    """Explains why no controller can stabilise the plant, as a list of reasons. The returned list is empty if no single mode
+    prevents stabilisation.
 
     Args:
-        plant: plant to check. If it has no measurements, every state counts as measured.
+        plant: plant to check. If the plant has no measurements, every state counts as measured.
         states: names of the states. Default: x1, x2, ...
     """
     names, dt = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], plant.dt
@@ -340,12 +347,13 @@ def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[s
 
 
 def static_feedback_obstructions(plant: Plant) -> list[str]:
-    """Explains why no static output feedback stabilises the plant. The returned list is empty if no such reason is known.
+    """Explains why no static output feedback stabilises the plant, as a list of reasons. The returned list is empty if no
+    reason is found.
 
-    The plant must be stabilisable and detectable. A gain K changes the sum of the poles by tr(K C_y B), and it multiplies their
-    product by det(I - K C_y (-A)^-1 B). For a discrete plant, this holds for the poles of `Plant.differences`, in which the
-    pole z = 1 becomes 0. The sum does not include decaying poles that no gain can change, such as the poles of a filter in a
-    weight.
+    The plant must be stabilisable and detectable. A gain K changes the sum of the poles by tr(K C_y B), and multiplies the
+    product of the poles by det(I - K C_y (-A)^-1 B). For a discrete plant, both relations hold for the poles of
+    `Plant.differences`, in which the pole z = 1 becomes 0. The sum of the poles does not include decaying poles that no gain
+    can change, such as the poles of a weighting filter.
     """
     where, Cy = stability(plant.A, plant.dt), plant.Cy
     if where.stable:
@@ -374,7 +382,9 @@ def static_feedback_obstructions(plant: Plant) -> list[str]:
 
 
 def _fixed_poles(A: Array, B: Array, Cy: Array) -> list[float]:
-    """Returns the real parts of simple poles that no gain can change, because they are not controllable or not observable."""
+    """Returns the real parts of those simple poles that no gain can change, because they are not controllable or not
+    observable.
+    """
     balanced, scale = balance(A)
     inputs, outputs, size, fixed = B / scale[:, None], Cy * scale, np.linalg.norm(balanced, 2) or 1.0, list[float]()
     inputs = inputs / np.maximum(np.linalg.norm(inputs, axis=0), np.finfo(float).tiny) * size
@@ -390,5 +400,5 @@ def _fixed_poles(A: Array, B: Array, Cy: Array) -> list[float]:
 
 
 def largest(vector: Array, names: Sequence[str]) -> str:
-    """Returns the name of the state that has the largest entry in an eigenvector."""
+    """Returns the name of the state with the largest entry in an eigenvector."""
     return names[int(np.argmax(np.abs(vector)))]

@@ -1,33 +1,36 @@
-"""Gahinet-Apkarian inequality of a plant, from which the controller is eliminated, in exact integers and in floats.
+"""Inequality of a plant by Gahinet and Apkarian, which does not contain the controller, in exact integers and in floats.
 
 For state feedback, LMI (21) has a solution Y if and only if N' M N < 0, where M is the left side of (21) at Y = 0. Here N is a
 basis of all q with [B; D]' q = 0 (the elimination lemma; Gahinet, Apkarian 1994). For output feedback from y = C_y x + Dyw w,
-the same inequality must also hold for the transposed plant, with another unknown matrix S instead of X.
+an unknown matrix S must also satisfy the corresponding inequality for the transposed plant.
 
 **Directions without cost.** If an input v does not appear in z (D v = 0), X can grow without bound along B v. X can also grow
-along A B v, A^2 B v and so on, as long as these directions are not observable in z. The columns of F span these directions
-(`_closure`). A dual solution cannot give weight to these directions. Therefore, N is also orthogonal to [F; 0] and [A F; C F],
-and X appears only as J X J', where J is a basis of all rows with J F = 0. For the transposed plant (B = C_y', D = Dyw'), the
-rows of F' give the combinations of states that can be computed from y and its derivatives, whatever w is.
+along A B v, A^2 B v and so on, as long as the directions found in this way are not observable in z. The columns of F span all
+directions without cost (`_closure`). A dual solution cannot give weight to directions without cost. Therefore, N is also
+orthogonal to [F; 0] and [A F; C F], and X appears only as J X J', where J is a basis of all rows with J F = 0. For the
+transposed plant (B = C_y', D = Dyw'), the rows of F' give the combinations of states that can be computed from y and its
+derivatives, whatever w is.
 
 X can also grow without bound along stable states that are unobservable in z.
 
 **Discrete plants.** The inequality of a discrete plant is Q X Q' - U X U' + eta b b' - c c' < 0. Since 2 (Q X Q' - U X U') =
-He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. In discrete plants, inputs that do
-not appear in z do not cause the directions above, because their zeros at infinity lie outside the unit circle. Instead, F
-contains the states that inputs can bring to zero within some samples while z is zero.
+He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. In discrete plants, an input v
+with D v = 0 does not cause directions without cost, because its zeros at infinity lie outside the unit circle. Instead, F
+contains the states that the inputs can bring to zero within a finite number of samples while z remains zero.
 
 All ranks are determined in integers from the exact entries of the plant, without tolerances. The result therefore depends
 neither on the magnitude of a direction nor on the units of states, inputs, time, w and z.
 
 **Stable zeros.** If U is square and Q - s U loses rank at a stable zero s, X can also grow without bound along the direction of
-this zero. Dual solutions then belong to the left deflating subspace of the other zeros. With a basis L of this subspace,
+this zero. Dual solutions then belong to the left deflating subspace of the zeros that are not stable. With a basis L of this
+left deflating subspace,
 
     L Q = Lambda L U,    W = L' W' L,    He(U' W Q) = (L U)' He(W' Lambda) (L U),
 
 and W' solves the inequality with I, Lambda, L b, L c and L U X U' L' instead of U, Q, b, c and X. Floats cannot represent L and
-Lambda exactly. L and Lambda are therefore enclosed (`AntistablePart`), like the zeros in `interpolation.py`. Zeros that lie on
-the axis up to rounding are ignored, which makes the bound weaker, but not invalid.
+Lambda exactly. L and Lambda are therefore approximated, with proved error bounds (`AntistablePart`), like the zeros in
+`interpolation.py`. Zeros that lie on the imaginary axis up to rounding are ignored, which makes the bound weaker, but not
+invalid.
 """
 
 import math
@@ -61,7 +64,7 @@ SAFE = 4.0  # safety factor by which the estimated rounding error of a sum of pr
 
 @dataclass(frozen=True, eq=False)
 class AntistablePart:
-    """Inequality He(Lambda X') + eta b b' - c c' < 0 that belongs to the zeros in the open right half plane.
+    """Inequality He(Lambda X') + eta b b' - c c' < 0, the part that belongs to the zeros in the open right half plane.
 
     Attributes:
         P: product L U, whose columns are divided by `columns`, shape (a', a).
@@ -80,12 +83,12 @@ class AntistablePart:
     off: tuple[float, float, float, float]
 
     def reduced(self, X: Array) -> Array:
-        """Returns the X' of this part that corresponds to an X of the whole inequality, shape (a', a')."""
+        """Returns the X' of the antistable part that corresponds to an X of the whole inequality, shape (a', a')."""
         P = self.P * self.columns
         return P @ X @ P.T
 
     def whole(self, X: Array) -> Array:
-        """Returns an X of the whole inequality that corresponds to an X' of this part, shape (a, a)."""
+        """Returns an X of the whole inequality that corresponds to an X' of the antistable part, shape (a, a)."""
         back = np.linalg.pinv(self.P) / self.columns[:, None]
         return back @ X @ back.T
 
@@ -95,13 +98,13 @@ class SynthesisInequality:
     """Inequality He(Q X U') + eta b b' - c c' < 0, LMI (21) without the controller; see the module docstring.
 
     Attributes:
-        J: matrix of integers whose rows are orthogonal to the directions without cost, shape (a, n).
-        coordinates: indices of those a states whose columns of J form a diagonal matrix.
-        U, Q, b, c: matrices of integers, shapes (k, a), (k, a), (k, r), (k, d). The inequality uses these matrices divided by
-            `scale`; Q and b are also divided by `unit`.
+        J: matrix of integers whose rows are orthogonal to the directions without cost (see the module docstring), shape (a, n).
+        coordinates: indices of those a states for which the columns of J form a diagonal matrix.
+        U, Q, b, c: matrices of integers, shapes (k, a), (k, a), (k, r), (k, d). In the inequality, these matrices of integers
+            are divided by `scale`; Q and b are also divided by `unit`.
         unit, scale: powers of two by which the matrices of integers are divided.
-        N: basis of all q with [B; D]' q = 0 that are orthogonal to the directions without cost, up to a factor; integers, shape
-            (n + d, k).
+        N: integer matrix, shape (n + d, k), whose columns are a basis of all q with [B; D]' q = 0 that are orthogonal to the
+            directions without cost.
     """
 
     J: Array
@@ -116,7 +119,7 @@ class SynthesisInequality:
 
     @classmethod
     def of(cls, plant: Plant) -> "SynthesisInequality":
-        """Returns the inequality for state feedback. For the transposed plant, this is the inequality for the observer."""
+        """Returns the inequality for state feedback. For the transposed plant, the result is the inequality for the observer."""
         n, (system, unit) = len(plant.A), integers(plant.system_matrix)
         m = plant.B.shape[1]
         states, inputs = system[:, :n], system[:, n : n + m]
@@ -136,7 +139,9 @@ class SynthesisInequality:
 
     @cached_property
     def antistable(self) -> AntistablePart | None:
-        """Part of the inequality that belongs to the unstable zeros; None if it cannot be separated (`_antistable_part`)."""
+        """Part of the inequality that belongs to the unstable zeros; None if this part cannot be separated
+        (`_antistable_part`).
+        """
         return _antistable_part(self)
 
     def floats(self) -> tuple[Array, Array, Array, Array]:
@@ -175,7 +180,9 @@ def _closure(states: Array, inputs: Array) -> Array:
 
 
 def _zeroed_states(states: Array, inputs: Array) -> Array:
-    """Returns the states that inputs can bring to zero within some samples while z is zero, as columns, shape (n, f)."""
+    """Returns the states that the inputs can bring to zero within a finite number of samples while z remains zero, as columns,
+    shape (n, f).
+    """
     n = states.shape[1]
     F = inputs[:n, :0]
     while True:
@@ -189,9 +196,10 @@ def _zeroed_states(states: Array, inputs: Array) -> Array:
 
 
 def _hidden_states(plant: Plant, states: Array) -> Array:
-    """Returns the states that are unobservable in z without control, as columns, shape (n, h); none if some of these states grow.
+    """Returns the states that are unobservable in z without control, as columns, shape (n, h); no columns if some of these
+    states grow.
 
-    A wrong decision about growth makes the bound weaker, but not invalid.
+    If the growth of a state is judged wrongly, the bound becomes weaker, but not invalid.
     """
     n = len(plant.A)
     if not n or span_all(states[n:], states[:n]):
@@ -214,9 +222,9 @@ def _hidden_states(plant: Plant, states: Array) -> Array:
 
 @np.errstate(all="ignore")  # a value that is infinite or NaN never counts as an enclosure
 def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
-    """Returns the part of the inequality that belongs to the unstable zeros, if it can be separated.
+    """Returns the part of the inequality that belongs to the unstable zeros, if this part can be separated.
 
-    The result is None if all zeros are unstable, if U is not square, or if no enclosure is found.
+    The result is None if all zeros are unstable, if U is not square, or if L and Lambda cannot be enclosed.
     """
     try:
         U, Q, b, c = side.floats()
@@ -250,7 +258,9 @@ def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
 
 
 def _enclosed_subspace(U: Array, Q: Array, W: Array, N: Array) -> tuple[Array, Array, float] | None:
-    """Returns W and N with Q' W near U' W N, and a radius within which an exact solution provably lies; None without a proof."""
+    """Returns W and N for which Q' W is nearly U' W N, and a radius within which an exact solution provably lies; None without
+    a proof.
+    """
     a, k = W.shape
     if not k:
         return W, N, 0.0
@@ -278,7 +288,7 @@ def _enclosed_subspace(U: Array, Q: Array, W: Array, N: Array) -> tuple[Array, A
 
 
 def _equation(U: Array, Q: Array, W: Array, N: Array, basis: Array) -> tuple[Array, Array]:
-    """Returns the derivative of the equations Q' W - U' W N = 0 and basis' W = I, stacked by columns, and their residual."""
+    """Returns the derivative and the residual of the equations Q' W - U' W N = 0 and basis' W = I, stacked by columns."""
     k = len(N)
     eye = np.eye(k)
     derivative = np.block(

@@ -1,14 +1,14 @@
 """Proofs of stability and of norm bounds for a box of gain errors: each measurement and force is multiplied by its own factor.
 
-With these factors on the diagonals of S_y and S_u, the acting gain is S_u K S_y. Consider one factor t, with the other factors
-fixed. The matrices A, C, Bw and Dw of the loop are affine functions of the quotient t / (1 - c t) with a constant c, or of t if
-no measurement contains a force. The quotient is monotone in t as long as the algebraic loop through the measurements is
-well-posed. The algebraic loop is well-posed in the whole box if its determinant, which is affine in every factor, has the same
-sign at all corners.
+If the factors are the diagonal entries of S_y (measurements) and S_u (forces), the acting gain is S_u K S_y. Consider one
+factor t, with the other factors fixed. The matrices A, C, Bw and Dw of the loop are affine functions of the quotient t / (1 - c
+t) with a constant c, or of t if no measurement contains a force. The quotient is monotone in t as long as the algebraic loop
+through the measurements is well-posed. The algebraic loop is well-posed in the whole box if its determinant, which is affine in
+every factor, has the same sign at all corners.
 
 For a fixed X, the largest eigenvalue of LMI (20) is convex in the quotient, because the disturbance matrices appear at most
-squared. The eigenvalue is therefore largest at a corner. One X that satisfies (20) at all corners proves stability and the
-bound in the whole box (quadratic stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1).
+squared. The eigenvalue is therefore largest at a corner of the box. One X that satisfies (20) at all corners proves stability
+and the bound in the whole box (quadratic stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1).
 """
 
 import itertools
@@ -69,14 +69,15 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class ScaledGain:
-    """Closed loops with the gains S_u K S_y, for different factors of the measurements and forces.
+    """Closed loops with the gains S_u K S_y, where the factors of the measurements and forces vary.
 
     Attributes:
         plant: plant in continuous time with n states, m inputs, d outputs z, r disturbances w and q measurements.
         K: nominal gain, shape (m, q).
-        before: gain K0 that is subtracted from every gain, shape (m, q); see `plant.discrete.mapped`.
-        readings, forces: number of columns of K that belong to measurements, and number of rows that belong to forces. These
-            columns and rows come first. The other columns and rows belong to the states of the control law.
+        before: gain K0 that is subtracted from every gain, shape (m, q); see `mapped` in `plant/discrete.py`.
+        readings, forces: number of those columns of K that belong to measurements, and number of those rows that belong to
+            forces. The columns of the measurements and the rows of the forces come first. The remaining columns and rows belong
+            to the states of the control law.
     """
 
     plant: Plant
@@ -86,7 +87,7 @@ class ScaledGain:
     forces: int
 
     def scaled(self, factors: Array) -> Array:
-        """Returns S_u K S_y - K0, shape (..., m, q), for factors of shape (..., q + m)."""
+        """Returns the gains S_u K S_y - K0, shape (..., m, q), for factors of shape (..., q + m)."""
         q = self.K.shape[1]
         return factors[..., q:, None] * self.K * factors[..., None, :q] - self.before
 
@@ -98,7 +99,7 @@ class ScaledGain:
         """Returns the gains that act on C_y x + Dyw w, shape (..., m, q), for factors of shape (..., q + m).
 
         Raises:
-            LinAlgError: an algebraic loop through the measurements is not well-posed.
+            LinAlgError: the algebraic loop through the measurements is not well-posed for some factors.
         """
         K = self.scaled(factors)
         return np.linalg.solve(self.return_difference(K), K) if np.any(self.plant.Dyu) else K
@@ -121,7 +122,7 @@ class ScaledGain:
         """Returns [A Bw; C Dw] of the closed loops, shape (..., n + d, n + r), for factors of shape (..., q + m).
 
         Raises:
-            LinAlgError: an algebraic loop through the measurements is not well-posed.
+            LinAlgError: the algebraic loop through the measurements is not well-posed for some factors.
         """
         system, inputs, outputs = self._parts
         return system + inputs @ (self.acting(factors) @ outputs)
@@ -139,7 +140,7 @@ class ScaledGain:
     def sizes(self, factors: Array) -> Array:
         """Returns the sums that `loops` computes, but with the absolute value of every term.
 
-        Rounding errors are proportional to these sums.
+        The rounding errors of `loops` are proportional to the returned sums.
         """
         scaled = np.abs(self.scaled(factors)) + 2 * np.abs(self.before)
         if np.any(self.plant.Dyu):
@@ -150,7 +151,7 @@ class ScaledGain:
 
 
 def lmi(loops: Array, X: Array, eta: float, identity: float = -1.0) -> Array:
-    """Returns the left side of (20), with `identity` I for -I, for loops [A Bw; C Dw], shape (..., n + d, n + d)."""
+    """Returns the left side of (20) for loops [A Bw; C Dw], with `identity` times I instead of -I, shape (..., n + d, n + d)."""
     n = len(X)
     left, W = loops[..., :n] @ X, loops[..., n:]
     F = eta * W @ W.swapaxes(-1, -2)
@@ -162,11 +163,12 @@ def lmi(loops: Array, X: Array, eta: float, identity: float = -1.0) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class BoxProof:
-    """Proof of a bound for a box of gain errors: the box is split into parts, and each part has an X that satisfies LMI (20).
+    """Proof of a bound for a box of gain errors: the box is split into parts, and each part has a matrix X that satisfies LMI
+    (20).
 
     Attributes:
         eta: gamma^-2.
-        parts: smaller boxes that together fill the whole box, each with its X of shape (n, n).
+        parts: smaller boxes that together fill the whole box, each with a matrix X of shape (n, n).
     """
 
     kind: ClassVar[str] = "common X, exact"
@@ -176,7 +178,7 @@ class BoxProof:
 
     @property
     def bound(self) -> float:
-        """Proved bound gamma = eta^-1/2, rounded up."""
+        """Proved bound gamma = eta^-1/2 on the norm, rounded up."""
         return bound_of(self.eta)
 
     def holds(self, gain: ScaledGain, box: Box) -> bool:
@@ -203,9 +205,9 @@ def proves(gain: ScaledGain, box: Box, X: Array, eta: float) -> bool:
 
 
 def _fill(parts: Sequence[Box], box: Box) -> bool:
-    """Returns True if parts, made by repeated bisection, fill a box.
+    """Returns True if parts that were made by repeated bisection fill a box.
 
-    This is the case if one of the parts contains the box, or if the parts fill both halves of the box along some factor.
+    The parts fill the box if one of them contains the box, or if the parts fill both halves of the box along some factor.
     """
     if any(np.all(part.low <= box.low) and np.all(part.high >= box.high) for part in parts):
         return True

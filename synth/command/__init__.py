@@ -1,1 +1,1 @@
-"""Command `python -m synth`: its options, tables, figures and files."""
+"""Command `python -m synth`: the options, tables, figures and files of this command."""

@@ -13,10 +13,10 @@ OPTION = "certificates"
 
 
 def write_certificates(folder: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
-    """Writes the certificates of controllers to a folder. Returns the names of the files.
+    """Writes the LMI certificates of controllers to a folder. Returns the names of the written files.
 
     Raises:
-        InputError: no controller measures anything, or the folder cannot be written.
+        InputError: no controller has measurements, or the folder cannot be written.
     """
     texts = certificate_texts(vehicle, controllers)
     if not texts:

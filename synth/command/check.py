@@ -19,7 +19,7 @@ from synth.vehicle.designer import Designer
 
 
 def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
-    """Checks all gains and laws of the vehicle file, or only the requested controllers, and returns one row for each.
+    """Checks all gains and laws of the vehicle file, or only the requested controllers, and returns one table row for each.
 
     Args:
         designer: designer of the vehicle.
@@ -67,7 +67,7 @@ UNPROVED_BOUND = "no bound is proved, because rounding leaves no X that satisfie
 
 
 def prove_controller(designer: Designer, controller: Controller) -> tuple[Controller, tuple[str, ...]]:
-    """Returns the controller with a proved bound just above its norm, and notes about the proof.
+    """Returns the controller with a proved bound just above the norm of its loop, and notes about the proof.
 
     The controller is unchanged if its bound is already proved, or if the norm of its loop is not finite.
     """

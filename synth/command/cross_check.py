@@ -1,8 +1,8 @@
 """Cross-check of the designs from problems (22) and (25) with a second solver, Clarabel.
 
-The designs themselves come from the central path (`lmi/central_path.py`). Many gains attain the optimum, so two solvers agree
-in gamma, but not in the gain. The designed gain is therefore checked by a second problem, in which the gain is fixed to this
-gain.
+The designs themselves come from the central path (`lmi/central_path.py`). Many gains attain the optimum, so the two solvers
+agree in gamma, but not in the gain. A second problem therefore checks the designed gain: in this problem, the gain is fixed to
+the designed gain.
 """
 
 from dataclasses import asdict, dataclass
@@ -30,12 +30,13 @@ class CrossCheck:
     """Comparison of a design with the solution that Clarabel finds.
 
     Attributes:
-        problem: number of the problem, "(22)" or "(25)".
-        ours: optimal gamma from the central path.
+        problem: number of the problem in the paper, "(22)" or "(25)".
+        ours: optimal gamma that the central path gives.
         optimum_gap: relative gap between the gamma of the designed gain and the optimal gamma `ours`.
         theirs: optimal gamma from Clarabel; None if Clarabel failed.
         attained: gamma that Clarabel finds if the gain is fixed to the designed gain; None if Clarabel failed.
-        said: errors or statuses of the problems that Clarabel did not solve accurately; empty if Clarabel solved both problems.
+        said: error messages or solver statuses of the problems that Clarabel did not solve accurately; empty if Clarabel solved
+            both problems.
     """
 
     problem: str
@@ -47,12 +48,12 @@ class CrossCheck:
 
     @property
     def apart(self) -> float | None:
-        """Relative amount by which Clarabel's optimum exceeds the optimum from the central path."""
+        """Relative amount by which Clarabel's optimal gamma exceeds the optimal gamma from the central path."""
         return self.theirs / self.ours - 1 if self.theirs is not None else None
 
     @property
     def above(self) -> float | None:
-        """Relative amount by which gamma with the designed gain exceeds Clarabel's optimum."""
+        """Relative amount by which the gamma of the designed gain exceeds Clarabel's optimal gamma."""
         return self.attained / self.theirs - 1 if self.attained is not None and self.theirs is not None else None
 
     @property
@@ -84,12 +85,13 @@ SHARE = Field[CrossCheck]("difference", lambda one: one.apart, ".0e")
 
 
 def cross_check(designer: Designer, controller: Controller, zero_l: bool = False) -> CrossCheck | None:
-    """Solves the design problem of a controller with Clarabel. Returns None if the design did not solve (22) or (25).
+    """Solves the design problem of a controller once more, with Clarabel. Returns None if the design did not solve (22) or
+    (25).
 
     Args:
         designer: designer of the vehicle.
         controller: designed controller before refinement.
-        zero_l: True if the design used L = 0.
+        zero_l: True if the design used L = 0 for the matrix L of (14).
     """
     bound, steps = controller.certificate.bound, controller.steps
     shared = designer.shared(controller.hardware)

@@ -1,4 +1,4 @@
-"""Design table of a vehicle file: designed or checked controllers, their performance, and limits that no controller changes."""
+"""Design table of a vehicle file: designed or checked controllers, their performance, and limits for any controller."""
 
 import math
 from argparse import Namespace
@@ -46,18 +46,19 @@ CHANGE = Field[float]("change", lambda ratio: ratio - 1, "+.0f", 100, unit="%")
 
 @dataclass(frozen=True, eq=False)
 class Designs:
-    """Designed or checked controllers of a vehicle file, and limits for all controllers.
+    """Designed or checked controllers of a vehicle file, and limits that hold for all controllers.
 
     Attributes:
-        vehicle: vehicle of the controllers.
+        vehicle: vehicle of the designed or checked controllers.
         rows: rows of the table, one for each controller.
-        limit: part of the norm that no control force can change, which is a lower bound for all controllers.
+        limit: part of the norm that no control force can change; this part is a lower bound for all controllers.
         plant: generalized plant for which `limit` holds.
-        flat: changes of the state-feedback gain on each state that hardly increase gamma; see `_flatness`.
-        passive: expected ride (weighted acceleration) of the passive suspension [m/s2]; None if no expected ride is defined.
+        flat: changes of the gain of the state feedback on each state that hardly increase gamma; see `_flatness`.
+        passive: expected ride (weighted acceleration) of the vehicle with passive suspension [m/s2]; None if no expected ride
+            is defined.
         expected_rides: expected ride [m/s2] of a vehicle with persons, by point and by controller; points where a person sits
             come first.
-        without: norm without control; infinite if the vehicle is not damped.
+        without: norm of the vehicle without control; infinite if the vehicle is not damped.
     """
 
     vehicle: Vehicle
@@ -132,9 +133,9 @@ def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> De
 
 
 def _design_row(designer: Designer, name: str, options: Namespace, stage: Stages, alone: bool) -> Row:
-    """Returns the row of a designed controller with its sampled-data norm.
+    """Returns the table row of a designed controller, including the norm of its sampled-data loop.
 
-    If the design fails and other controllers are requested, the row contains the failure.
+    If the design fails and other controllers are also requested, the row contains the failure.
     """
     stage(f"controller {name}")
     try:
@@ -153,7 +154,7 @@ def _design_row(designer: Designer, name: str, options: Namespace, stage: Stages
 
 
 def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Row:
-    """Returns the row of a designed controller, or the row of a failed design."""
+    """Returns the table row of a designed controller, or the row of a failed design."""
     if options.refine and name != "passive":
         return _refined_row(designer, name, options.zero_l)
     try:
@@ -181,7 +182,9 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
 
 
 def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
-    """Returns the row of the refined controller with its trade-off, or of the unrefined controller if refinement fails."""
+    """Returns the table row of the refined controller with its trade-off, or the row of the unrefined controller if refinement
+    fails.
+    """
     try:
         refined = designer.refine(name, zero_l)
     except DesignError as error:
@@ -197,7 +200,9 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
 
 
 def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
-    """Adds the expected ride and the margins of the law to a row and, if requested, the tolerated gain errors."""
+    """Adds the expected ride and the stability margins of the law to a row of the table and, if requested, the tolerated gain
+    errors.
+    """
     controller = row.controller
     if controller is None:
         return row
@@ -209,15 +214,15 @@ def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
 
 
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
-    """Returns how far each state-feedback gain may change if gamma increases by at most FLAT.
+    """Returns how far each state-feedback gain can be changed without an increase of gamma by more than FLAT.
 
-    If the table contains a state feedback, its gain is used; otherwise a state feedback is designed. The gain is used even if
-    the central path of its design ended early. The result is empty for a vehicle with integrals of measurements, because the
-    state feedback then has states of its own.
+    If the table contains a state-feedback controller, the gain of this controller is used; otherwise a state feedback is
+    designed. The gain is used even if the central path of this design ended early. The result is empty for a vehicle with
+    integrals of measurements, because the state-feedback law then has states.
 
     Returns:
-        For each state, the largest gain that acts on this state, and the allowed decrease and increase of this gain; None if
-        unlimited.
+        For each state, the largest gain that acts on this state, and how far this gain may decrease and increase; None if
+        without limit.
     """
     if designer.vehicle.integrals:
         return {}
@@ -236,7 +241,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
 
 
 def _check_save(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> None:
-    """Checks that the designed gains can be saved. Other gains are not saved."""
+    """Checks that the designed gains can be saved. Only gains that the command designs are saved."""
     from synth.command.save import check_save
 
     entries = vehicle.controllers
@@ -245,7 +250,7 @@ def _check_save(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> N
 
 
 def _draw_responses(designs: Designs, path: Path) -> Path | None:
-    """Draws the frequency responses of all stable loops. Returns the path, or None if no loop is stable."""
+    """Draws the frequency responses of all stable loops. Returns the path of the figure, or None if no loop is stable."""
     from models.document.picture import write_picture
     from synth.command.responses import responses_figure
 
@@ -272,7 +277,7 @@ RECORD = Record[Designs](
 
 
 def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Path | None]) -> list[str]:
-    """Returns the lines that are printed: a short answer, or the full answer with `-v`."""
+    """Returns the lines of text that the command prints: a short answer, or the full answer with `-v`."""
     vehicle, full = designs.vehicle, options.verbose
     files = written_lines(outputs)
     if outputs["saved"]:
@@ -292,8 +297,8 @@ def document(designs: Designs, options: Namespace, in_table: bool = False) -> Do
     """Returns the results of the command as a document.
 
     Args:
-        designs: designed or checked controllers with their results.
-        options: options from the command's parser.
+        designs: designed or checked controllers, with their results.
+        options: options that the command's parser returned.
         in_table: True for a table of loops instead of a document about each controller.
     """
     vehicle, rows = designs.vehicle, designs.rows
@@ -327,7 +332,7 @@ def document(designs: Designs, options: Namespace, in_table: bool = False) -> Do
 
 
 def _worse(designs: Designs) -> tuple[Statement, ...]:
-    """Returns a warning about designs that minimise the norm but have a larger norm than the vehicle without control."""
+    """Returns a warning about designs that minimise the norm but whose norm is above that of the vehicle without control."""
     entries, norms = designs.vehicle.controllers, dict[str, float]()
     for row in designs.rows:
         entry, certificate = entries.get(row.name), row.certificate
@@ -339,7 +344,7 @@ def _worse(designs: Designs) -> tuple[Statement, ...]:
 
 
 def _rides(designs: Designs) -> list[Statement]:
-    """Describes the expected ride of every controller; for a vehicle with persons, at each point. See `_rides_at`."""
+    """Describes the expected ride of every controller; for a vehicle with persons, the ride at each point. See `_rides_at`."""
     rides = {"passive": designs.passive, **{row.name: row.ride for row in designs.rows}}
     without = [f"There is no expected ride for {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
     return [one for at, known in (designs.expected_rides or {"": rides}).items() for one in _rides_at(designs, at, known)] + [
@@ -348,7 +353,9 @@ def _rides(designs: Designs) -> list[Statement]:
 
 
 def _rides_at(designs: Designs, at: str, known: Mapping[str, float | None]) -> tuple[Statement, ...]:
-    """Describes the expected ride of every controller at a point, and lists the controllers whose ride is worse than passive."""
+    """Describes the expected ride of every controller at a point, and lists the controllers whose ride is worse than that of
+    the passive vehicle.
+    """
     rides, passive = {name: ride for name, ride in known.items() if ride is not None}, known["passive"]
     if not rides.keys() & {row.name for row in designs.rows}:
         return ()
@@ -366,19 +373,19 @@ def _rides_at(designs: Designs, at: str, known: Mapping[str, float | None]) -> t
 
 
 def _without_ride(designs: Designs) -> dict[str, str]:
-    """Returns the stable controllers for which no expected ride is defined, by name, each with the reason."""
+    """Returns, by name, the stable controllers for which no expected ride is defined, each with the reason."""
     some = {row.name: row.controller for row in designs.rows if row.controller is not None and row.ride is None}
     return {name: why for name, controller in some.items() if (why := no_line(designs.vehicle, controller))}
 
 
 def _at_least(share: float) -> str:
-    """Returns a fraction in percent, rounded down to two digits."""
+    """Returns a fraction as a percentage, rounded down to two digits."""
     unit = 10.0 ** (math.floor(math.log10(share)) - 1)
     return percent(math.floor(share / unit) * unit)
 
 
 def verdict(rows: Sequence[Row]) -> Statement:
-    """Returns the verdict: controllers with claims that fail, and controllers whose sampled-data loop is unstable."""
+    """Returns the verdict on the controllers: whose claims fail, and whose sampled-data loop is unstable."""
     wrong = [f"{row.name} {'is not designed' if row.controller is None else 'FAILS'}" for row in rows if row.failures]
     text = f"every claim holds for {len(rows)} controller{'s' * (len(rows) != 1)}"
     text = f"not every claim holds: {', '.join(wrong)}" if wrong else text

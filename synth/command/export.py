@@ -31,11 +31,10 @@ RANGES = (1e-9, 1e9)  # smallest and largest allowed range; a range is the large
 
 
 def export(vehicle: Vehicle, options: Namespace) -> int:
-    """Writes the folder or the file that `--export` names, prints its contents, and returns the exit code.
+    """Writes the folder or the file that `--export` names, prints what it contains, and returns the exit code.
 
     Raises:
-        InputError: a controller is unknown, a controller cannot be exported in this form, or the folder or file cannot be
-            written.
+        InputError: a controller is unknown or cannot be exported in this form, or the folder or file cannot be written.
     """
     record, lines = {".mat": _mat, ".fmu": _fmu}.get(options.export.suffix.lower(), _folder)(vehicle, options)
     names = [name for name in vehicle.controllers if vehicle.controllers[name].study]
@@ -66,7 +65,7 @@ def _law(vehicle: Vehicle, options: Namespace, prefix: Callable[[str], str]) -> 
 
 
 def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str]]:
-    """Writes the folder of one controller. Returns the contents of the folder for JSON, and as lines of text."""
+    """Writes the folder of one controller. Returns the contents of the folder, both for JSON and as lines of text."""
     folder: Path = options.export
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"--export {folder} exists and is not empty; give another folder, or remove this one")
@@ -99,7 +98,7 @@ def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[
 
 
 def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str]]:
-    """Writes a MATLAB file, a script next to it, and LMI certificates."""
+    """Writes a MATLAB file with a script and LMI certificates in the same folder."""
     from synth.controller.export.matlab import mat_file, script, struct_names
 
     if "numbers" in options.given:
@@ -177,7 +176,7 @@ FmuContent = tuple[FmuModel, Mapping[str, str], str]
 
 
 def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
-    """Returns a controller as the content of an FMU. The FMU includes the files of the exported folder."""
+    """Returns the content of an FMU that contains a controller. The FMU includes the files that are exported to a folder."""
     if options.numbers not in ("double", "float"):
         raise InputError(f"an FMU cannot have {options.numbers} numbers: its variables are floating point; give double or float")
     saved, law, texts = _law(vehicle, options, lambda plain: plain if plain.startswith("law_") else f"law_{plain}")
@@ -185,7 +184,7 @@ def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
 
 
 def _vehicle(vehicle: Vehicle, options: Namespace) -> FmuContent:
-    """Returns the linear vehicle as the content of an FMU."""
+    """Returns the content of an FMU that contains the linear vehicle."""
     if options.controller:
         raise InputError("--part vehicle contains no controller; omit --controller, or give --part loop")
     model = linear_model(c_name(vehicle.kind.name), f"{vehicle.kind.name}, linear", vehicle, vehicle_system(vehicle))
@@ -193,7 +192,7 @@ def _vehicle(vehicle: Vehicle, options: Namespace) -> FmuContent:
 
 
 def _loop(vehicle: Vehicle, options: Namespace) -> FmuContent:
-    """Returns the linear vehicle with a controller as the content of an FMU."""
+    """Returns the content of an FMU that contains the linear vehicle with a controller."""
     name, saved, own = _one(vehicle, options, vehicle.linear_names, "--part loop exports the loop of one controller")
     controller, kind = Designer(saved, search=False).design(own), vehicle.kind.name
     identifier = f"{c_name(kind)}_{c_name(name)}"
@@ -207,7 +206,7 @@ def _loop(vehicle: Vehicle, options: Namespace) -> FmuContent:
 
 
 def _about(model: FmuModel) -> str:
-    """Returns the documentation of a linear system, for its FMU."""
+    """Returns the documentation that an FMU of a linear system contains."""
     named = [("input", one) for one in model.inputs] + [("output", one) for one in model.outputs]
     rows = "".join(f"{what:7} {one.name} [{one.unit}]: {one.meaning}\n" for what, one in named)
     return (
@@ -239,10 +238,10 @@ def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
 
 
 def _ranges(given: Sequence[str]) -> dict[str, float]:
-    """Returns the ranges that are given as `--range SIGNAL=NUMBER`, by signal.
+    """Returns, by signal name, the ranges that are given as `--range SIGNAL=NUMBER`.
 
     Raises:
-        InputError: a range does not have this form, its number is too small or too large, or a signal has two ranges.
+        InputError: a range is not written as SIGNAL=NUMBER, its number is too small or too large, or a signal has two ranges.
     """
     ranges = {}
     for text in given:
@@ -260,13 +259,13 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
 
 
 def check_folder(folder: Path, options: Namespace) -> int:
-    """Checks an exported folder. Prints which files were changed, and whether the claims of its certificate hold.
+    """Checks an exported folder. Prints which files were changed, and whether the claims of the folder's certificate hold.
 
     Returns:
         Exit code: 0 if no file was changed, every claim holds, and the code computes the outputs of the test vectors; else 1.
 
     Raises:
-        InputError: the folder is not an exported controller.
+        InputError: the folder does not contain an exported controller.
     """
     found = read_folder(folder, driver_of)
     vehicle, law, failures = found.vehicle, found.law, list(found.failures)
@@ -295,9 +294,9 @@ def _claims(vehicle: Vehicle, name: str) -> str | list[str]:
 
 
 def _back_to_back(folder: Path, prefix: str) -> tuple[str, bool]:
-    """Runs the compiled code on the test vectors. Returns the result as text, and False if an output is wrong.
+    """Runs the compiled code with the test vectors. Returns the result of the run as text, and False if an output is wrong.
 
-    Without a compiler, the code is not run; this does not count as a wrong output.
+    Without a compiler, the code cannot be run; the check does not count this as a wrong output.
     """
     try:
         command = compiler()

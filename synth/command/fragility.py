@@ -17,7 +17,7 @@ from synth.design.uncertainty.problem import scaled_gain
 
 @dataclass(frozen=True, eq=False)
 class FragilityReport:
-    """Fragility of a controller: the gain errors that it tolerates, and the effect of rounding its coefficients.
+    """Fragility of a controller: the gain errors that the controller tolerates, and the effect of rounding its coefficients.
 
     Attributes:
         fragility: gain errors that the controller tolerates.
@@ -33,7 +33,7 @@ class FragilityReport:
 
 
 def fragility_report(vehicle: Vehicle, controller: Controller) -> FragilityReport | None:
-    """Computes the fragility of a controller. Returns None if the controller has no gain or its loop is unstable."""
+    """Computes the fragility of a controller. Returns None if the controller has no gain or if its loop is unstable."""
     if not controller.law.acts or not controller.certificate.stable:
         return None
     problem, names = controller.problem(vehicle.without_integrals), (controller.measured, vehicle.linear_model.inputs)
@@ -72,5 +72,7 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
 
 
 def _between(margin: errors.ErrorMargin) -> str:
-    """Formats the proved tolerance and the smallest error found harmful, both in percent; a dash is a missing value."""
+    """Formats the proved tolerance and the smallest error that was found to be harmful, both in percent; a dash stands for a
+    missing value.
+    """
     return ", ".join(cell(100 * value if value else None, ".3g") for value in (margin.proved_margin, margin.smallest_violation))

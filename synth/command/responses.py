@@ -1,4 +1,6 @@
-"""`--picture`: figure of the gain from the road to z as a function of frequency, with the frequency bands of goals."""
+"""`--picture`: figure of the gain from the road to z as a function of frequency; the figure also shows the frequency bands of
+goals.
+"""
 
 from collections.abc import Sequence
 
@@ -60,7 +62,7 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
 
 
 def _norms(vehicle: Vehicle, row: Row) -> list[NormOf]:
-    """Returns the goals of a controller that limit the norm of z of `[performance]` in a frequency band."""
+    """Returns those goals of a controller that limit, in a frequency band, the norm of z as defined in `[performance]`."""
     goals = vehicle.controllers[row.name].goals if row.name in vehicle.controllers else None
     norms = [goals.minimise, *(bound for bound in goals.bounds if isinstance(bound, NormBound))] if goals else []
     return [norm for norm in norms if norm.narrow and norm.signals is None]

@@ -22,7 +22,7 @@ MOST = 1000  # largest number of sample periods that `--rates` accepts
 
 
 def periods_of(rates: Sequence[float]) -> list[float]:
-    """Converts the sample periods of `--rates` from milliseconds to seconds, in ascending order.
+    """Converts the sample periods in `--rates` from milliseconds to seconds, and sorts them in ascending order.
 
     Raises:
         InputError: a period is out of range or given twice, or there are too many periods.
@@ -43,7 +43,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     """Runs the command for the requested controllers. Returns the exit code.
 
     Raises:
-        InputError: a sample period is not allowed, or the figure cannot be written.
+        InputError: a sample period is not allowed, or the file of the figure cannot be written.
     """
     periods, outputs = periods_of(options.rates), {"picture": options.picture}
     check_outputs(outputs, vehicle.files)

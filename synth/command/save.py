@@ -1,4 +1,4 @@
-"""Saves designs as controllers of a vehicle file, each with its law and certificate."""
+"""Saves designs as controllers of a vehicle file, each with its law and its certificate."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,15 +17,15 @@ from synth.vehicle.certified_vehicle import vehicle_record
 
 
 def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
-    """Checks, before the controllers are designed, that controllers with these names can be added to a vehicle file.
+    """Before the controllers are designed, checks that controllers with the new names can be added to a vehicle file.
 
     Args:
         path: path of the vehicle file to be written.
         vehicle: vehicle of the controllers.
-        names: names of the designed controllers, without the suffix.
+        names: names of the designed controllers, without the suffix `_designed`.
 
     Raises:
-        InputError: there is nothing to write, a name is already used, or the vehicle file would be unreadable if saved at
+        InputError: there is no designed controller, a name is already used, or the vehicle file would be unreadable if saved at
             `path`.
     """
     if not names:
@@ -42,19 +42,20 @@ def save(
     controllers: Sequence[Controller],
     sampled_bounds: Mapping[str, SampledBound | None] | None = None,
 ) -> None:
-    """Writes a vehicle file that contains each designed law as controller NAME_designed. All other commands can read this file.
+    """Writes a vehicle file in which each designed law is a controller with the name NAME_designed. All other commands can read
+    the written file.
 
-    Controllers with a preview are omitted if there are also controllers without a preview.
+    Controllers with a preview are not saved if there are also controllers without a preview.
 
     Args:
         path: path of the vehicle file to be written.
         vehicle: vehicle of the controllers.
-        controllers: controllers; only designed controllers are written.
-        sampled_bounds: lower bounds of sampled-data loops, by name of the controller.
+        controllers: controllers of the vehicle, of which only the designed controllers are written.
+        sampled_bounds: lower bounds for sampled-data loops, by name of the controller.
 
     Raises:
-        InputError: there is nothing to write, a name is already used, all controllers have a preview, or the file cannot be
-            written.
+        InputError: there is no designed controller, a name is already used, all controllers have a preview, or the file cannot
+            be written.
     """
     text = saved_text(path, vehicle, controllers, sampled_bounds)
     with whole_file(path, "save") as beside:
@@ -83,7 +84,9 @@ def saved_text(
 
 
 def left_out_lines(names: Sequence[str]) -> list[str]:
-    """Returns a line that lists the controllers with a preview, which are not saved; empty if there are none."""
+    """Returns a line that lists the controllers with a preview, because these controllers are not saved; empty if there are
+    none.
+    """
     return [f"  omitted: {list_names(names)}, because this file cannot contain a preview of the road"] if names else []
 
 
@@ -95,8 +98,8 @@ def controller_section(
     Args:
         vehicle: vehicle of the controller.
         controller: controller to be written.
-        name: name of the section.
-        sampled_bound: lower bound of the sampled-data loop; None without such a bound.
+        name: name of the section in the vehicle file.
+        sampled_bound: lower bound for the sampled-data loop; None if no such bound is known.
     """
     own = vehicle.with_actuators_of(controller.name)
     norm, _ = norm_or_failure(own, controller)

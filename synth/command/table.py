@@ -65,18 +65,18 @@ class Row:
 
     Attributes:
         name: name of the controller.
-        controller: controller of the row; None if its design failed.
-        notes: sentences about the controller's design and results.
+        controller: controller that the row describes; None if its design failed.
+        notes: sentences about the design of the controller and about its results.
         failures: texts of the claims that do not hold, or the reason why the design failed.
-        worth: low estimate of the relative decrease of the norm that `--refine` would achieve; 0 if the decrease is negligible.
-        witness: result of the cross-check with the solver Clarabel; None if not requested.
+        worth: low estimate of the relative amount by which `--refine` would reduce the norm; 0 if this amount is negligible.
+        witness: result of the cross-check with the solver Clarabel; None if no cross-check was requested.
         sampled: norm of the sampled-data loop; None if the vehicle file describes no implementation.
-        sampled_below: lower bound on `sampled` for all controllers with the measurements of this controller; None if the
-            controller is not designed for the sampled-data loop.
-        fragile: gain errors that the controller tolerates; None if not requested.
-        answers: sentences with the results that the user requested by options; `notes` contains these sentences, too.
-        ride: expected weighted acceleration on an average road [m/s2]; None if no expected ride is defined.
-        refined: True if the controller was refined; the short output then contains its gain, too.
+        sampled_below: lower bound on `sampled` for all controllers with the same measurements; None if the controller is not
+            designed for the sampled-data loop.
+        fragile: gain errors that the controller tolerates; None if this result was not requested.
+        answers: sentences with the results that the user requested by options; `notes` also contains these sentences.
+        ride: expected weighted acceleration on a road of average quality [m/s2]; None if no expected ride is defined.
+        refined: True if the controller was refined; the short output then contains the gain of the controller, too.
         margins: stability of the law itself, and the stability margins of the closed loop if they are small; None if there is
             no law.
     """
@@ -102,19 +102,23 @@ class Row:
 
     @property
     def measures(self) -> str:
-        """Names of the measured signals as text."""
+        """Names of the measured signals, joined in one text."""
         return ", ".join(self.controller.measured) or "nothing" if self.controller is not None else ""
 
     @property
     def sampled_gap(self) -> float | None:
-        """Relative gap between the sampled-data norm and its lower bound; None if one is missing or the loop is unstable."""
+        """Relative gap between the sampled-data norm and its lower bound; None if the norm or the bound is missing, or if the
+        loop is unstable.
+        """
         if self.sampled is None or self.sampled_below is None or not self.sampled.stable:
             return None
         return self.sampled.value / self.sampled_below.level - 1
 
 
 def _of_stable_loop(row: Row, field: Field[Certificate]) -> Any:
-    """Returns the value of a field that exists only for stable loops; for any other loop, the stability verdict as text."""
+    """Returns the value of a field that exists only for stable loops; if the loop is not stable, returns the stability verdict
+    as text.
+    """
     if row.certificate is None:
         return "NOT DESIGNED"
     value = field.value(row.certificate) if row.certificate.stable else row.certificate.stability.verdict.upper()
@@ -136,14 +140,14 @@ ABOVE_LEVEL = Field[Row]("above that", lambda row: row.sampled_gap, percent)
 
 
 def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Plant, apart: bool = False) -> Document:
-    """Returns a document with the table of designs, the limit for every design, and notes about the loops.
+    """Returns a document with the table of designs, the limit that holds for every design, and notes about the loops.
 
     Args:
         vehicle: vehicle of the controllers.
         rows: rows of the table, one for each controller.
         limit: part of the norm that no control force can change, which is a lower bound for all controllers.
         plant: generalized plant for which `limit` holds.
-        apart: True if sampled-data norms are shown only in a separate table.
+        apart: True if the norms of sampled-data loops are shown only in a separate table.
     """
     controllers = [row.controller for row in rows if row.controller is not None]
     built, bounded = any(row.sampled is not None for row in rows), any(row.sampled_below is not None for row in rows)
@@ -180,7 +184,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
 
 
 def _unlimited_forces(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
-    """Returns a note about forces that no weight limits, if the table contains a controller designed by the command."""
+    """Returns a note about forces that no weight limits, if the table contains a controller that the command designed."""
     given = {"passive", *(name for name, entry in vehicle.controllers.items() if entry.law is not None)}
     free = [force for force in vehicle.linear_model.inputs if not any(force in one.terms for one in vehicle.weighted)]
     text = f"No weight limits {list_names(free)}, so gains can become very large: add {{}} = 1e-4 to [performance], for example."
@@ -188,10 +192,10 @@ def _unlimited_forces(vehicle: Vehicle, controllers: Sequence[Controller]) -> li
 
 
 def limit_text(limit: LowerBound, plant: Plant) -> str:
-    """Describes the lower bound on the norm that no control force can change.
+    """Describes the lower bound on the norm, which is the part of the norm that no control force can change.
 
-    If a mode must be stabilised, the bound holds only for controllers that stabilise this mode. At an invariant point, the norm
-    without control may equal the bound.
+    If a mode must be stabilised, the lower bound holds only for controllers that stabilise this mode. At an invariant point,
+    the norm without control may equal the lower bound.
     """
     if limit.limit_at is None:
         return "Limit: none. At every frequency, control forces can change the whole response of z to the road."
@@ -255,7 +259,9 @@ def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Sta
 
 
 def _first(row: Row, gains: bool) -> Iterator[str]:
-    """Describes a controller by its first specification, by its gain if the text is short, or by undamped natural frequencies."""
+    """Describes a controller by its first specification, by its gain if the text is short, or otherwise by undamped natural
+    frequencies.
+    """
     controller = row.controller
     assert controller is not None
     if lacks_damping(controller):
@@ -285,22 +291,22 @@ def _requested_notes(row: Row, checked: bool) -> Iterator[str]:
 
 
 def failures_of(row: Row) -> list[str]:
-    """Describes the failures of a row. If wrong signs of the gains may have caused the failures, the first description mentions
-    this.
+    """Describes the failures of the controller in a row. If wrong signs of the gains may have caused the failures, the first
+    description mentions the signs.
     """
     first, *others = [*row.failures] or [""]
     return [f"{first}{sign_note(row.controller) if row.controller is not None else ''}", *others] if first else []
 
 
 def lacks_damping(controller: Controller) -> bool:
-    """Returns True for a vehicle without control in which some motion is undamped, which does not count as a failure."""
+    """Returns True for a vehicle without control if some motion is undamped; such a motion does not count as a failure."""
     return not controller.measured and controller.certificate.stability.verdict == MARGINAL
 
 
 def _poles(controller: Controller) -> list[complex]:
     """Returns the poles of a loop, sorted by natural frequency, with one pole of each conjugate pair.
 
-    For poles on the axis, rounding errors in the real part are removed.
+    For poles on the imaginary axis, rounding errors in the real part are removed.
     """
     own = controller.certificate.own
     poles = np.where(own.on_axis, 1j * np.imag(own.poles), own.poles)
@@ -318,7 +324,7 @@ def _goals(row: Row) -> str | None:
 
 
 def _least_damped(row: Row) -> complex | None:
-    """Returns the pole of a loop that has the smallest damping ratio."""
+    """Returns the pole with the smallest damping ratio of a loop."""
     return min(_poles(row.controller), key=DAMPING.value, default=None) if row.controller is not None else None
 
 
@@ -333,7 +339,7 @@ LOOPS: tuple[Field[Row], ...] = (
 
 
 def loop_table(rows: Sequence[Row]) -> Table:
-    """Returns the table of the poles of all loops, for controllers whose details do not fit on a screen."""
+    """Returns a table of the poles of all loops, for controllers whose details do not fit on a screen."""
     return Table.of("loops", "Poles of all loops.", [replace(one, detail="normal") for one in LOOPS], rows, detail="full")
 
 
@@ -373,7 +379,7 @@ def pole_words(pole: complex) -> str:
 
 
 def _hardware(controller: Controller) -> dict[str, Any]:
-    """Returns the sensor noise, loads and actuator lag that a norm takes into account, for JSON; empty if there are none."""
+    """Returns, for JSON, the sensor noise, loads and actuator lag that a norm takes into account; empty if there are none."""
     hardware = controller.hardware
     noise = {"noise": dict(zip(controller.measured, hardware.noise, strict=True))} if hardware.noise else {}
     noise |= {"loads": dict(hardware.loads)} if hardware.loads else {}
@@ -410,5 +416,5 @@ DESIGN_RECORD = Record[Any](  # JSON object for a controller whose design succee
 
 
 def record(row: Row) -> dict[str, Any]:
-    """Returns a row as a JSON object in SI units: either the design, or the reason why the design failed."""
+    """Returns a row of the table as a JSON object in SI units: either the design, or the reason why the design failed."""
     return DESIGN_RECORD(row) if row.controller is not None else {"name": row.name, "reason": "; ".join(row.failures)}

@@ -28,8 +28,8 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     """Runs the command. Returns the exit code.
 
     Raises:
-        InputError: an axis is invalid, the controller does not permit a front, a point does not exist, or a file cannot be
-            written.
+        InputError: an axis is invalid, no trade-off can be computed for the controller, a point does not exist, or a file
+            cannot be written.
     """
     axes = axes_of(vehicle, options.front)
     name = _name(vehicle, options.controller)
@@ -78,9 +78,9 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
 
 
 def others_of(vehicle: Vehicle) -> list[str]:
-    """Returns the names of the linear controllers that are shown together with a front.
+    """Returns the names of the linear controllers that are shown together with a trade-off front.
 
-    Controllers that are designed for goals are omitted, because the design of each one takes seconds.
+    Controllers that are designed for goals are omitted, because the design of each controller takes seconds.
     """
     return [
         name
@@ -99,12 +99,14 @@ def _name(vehicle: Vehicle, given: Sequence[str] | None) -> str:
 
 
 def usual(vehicle: Vehicle) -> str:
-    """Returns the name of the default controller for a front: I if the file contains I, otherwise the first controller."""
+    """Returns the name of the default controller for a front: controller I if the file contains it, otherwise the first
+    controller.
+    """
     return USUAL if USUAL in vehicle.controllers else next(iter(vehicle.controllers), "state")
 
 
 def _numbers(trade_off: Front, given: Sequence[int] | None) -> list[int]:
-    """Returns the numbers of those points on the front that are saved."""
+    """Returns the numbers of those points on the trade-off front that are saved."""
     for i in given or ():
         if i > len(trade_off.points):
             raise InputError(

@@ -3,7 +3,7 @@
     minimise   c' p - sum_b log det(F0_b + sum_i p_i F_bi)
 
 Source: Boyd, Vandenberghe, Convex Optimization, sections 9.6 and 11.6. LAPACK is called directly, because for small matrices
-the checks in the usual wrappers take longer than LAPACK itself.
+the checks in the usual Python wrappers take longer than LAPACK itself.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -35,10 +35,10 @@ PANEL = 64  # number of columns that the QR decomposition processes together
 
 
 class Barrier:
-    """Logarithmic barrier of one or more blocks with the same unknowns."""
+    """Logarithmic barrier of one or more matrix blocks that depend on the same unknowns."""
 
     def __init__(self, blocks: Sequence[Block]) -> None:
-        """Prepares the blocks for repeated evaluation.
+        """Prepares the blocks of the barrier for repeated evaluation.
 
         Raises:
             LinAlgError: the blocks have fewer entries than there are unknowns, so the minimum is not unique.
@@ -95,7 +95,7 @@ class Barrier:
 
 
 def _block_diagonal(blocks: Sequence[Block]) -> Block:
-    """Returns the blocks as one block-diagonal block."""
+    """Returns all blocks of the barrier as one block-diagonal block."""
     size = sum(len(F0) for F0, _ in blocks)
     F0, F, at = np.zeros((size, size)), np.zeros((len(blocks[0][1]), size, size)), 0
     for first, each in blocks:
@@ -107,11 +107,11 @@ def _block_diagonal(blocks: Sequence[Block]) -> Block:
 
 @functools.cache
 def _upper(sizes: tuple[int, ...]) -> tuple[Array, Array, Array]:
-    """Returns indices into a flat symmetric matrix with blocks of the given sizes, and weights.
+    """Returns indices into a flat symmetric matrix with blocks of the given sizes, and weights of the entries.
 
     Returns:
-        Indices of the entries in the upper triangles of the blocks, indices of the diagonal entries, and weights of the upper
-        triangles. With these weights, the norm of a triangle equals the norm of its symmetric matrix.
+        Indices of the entries in the upper triangles of the blocks, indices of the diagonal entries, and weights of the entries
+        in the triangles. With these weights, the norm of a triangle equals the norm of its symmetric matrix.
     """
     of = np.repeat(np.arange(len(sizes)), sizes)
     rows, columns = np.nonzero(np.triu(of[:, None] == of))
@@ -119,7 +119,9 @@ def _upper(sizes: tuple[int, ...]) -> tuple[Array, Array, Array]:
 
 
 class Logarithm(NamedTuple):
-    """Term weight * log(p_N) of a barrier: weight, slope 1 / p_N, and factor on the last diagonal entry of R^-1."""
+    """Term weight * log(p_N) of a barrier, described by the weight, the slope 1 / p_N, and a factor on the last diagonal entry
+    of R^-1.
+    """
 
     weight: float
     slope: float
@@ -128,14 +130,15 @@ class Logarithm(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FactoredDerivatives(ABC):
-    """First and second derivatives of sum log det at a point. The Hessian is given in the form S^-1 R' R S^-1.
+    """First and second derivatives of the sum of the log det terms of a barrier at a point. The Hessian is given in the form
+    S^-1 R' R S^-1.
 
     Attributes:
         trace: gradient, shape (N,).
         scale: diagonal of S, shape (N,).
-        triangle: upper triangular matrix R without `logarithm`, shape (N, N), in C or Fortran order. The entries of `triangle`
-            below the diagonal are arbitrary.
-        logarithm: term with the logarithm of the last unknown; None if the barrier does not contain this term.
+        triangle: upper triangular matrix R without the term `logarithm`, shape (N, N), in C or Fortran order. The entries of
+            `triangle` below the diagonal are arbitrary.
+        logarithm: term with the logarithm of the last unknown; None if the barrier does not contain a logarithm.
     """
 
     trace: Array
@@ -144,7 +147,7 @@ class FactoredDerivatives(ABC):
     logarithm: Logarithm | None = field(default=None, kw_only=True)
 
     def half(self, c: Array) -> Array:
-        """Returns R^-T S c. The norm of this vector is the norm of c in the metric of the inverse Hessian."""
+        """Returns R^-T S c. The norm of the returned vector is the norm of c in the metric of the inverse Hessian."""
         return self._scaled(_triangular(self.triangle, c * self.scale, transposed=True))
 
     def solve(self, half: Array) -> Array:
@@ -156,12 +159,14 @@ class FactoredDerivatives(ABC):
         """Returns the eigenvalues r of the step: from p to p + t step, log det changes by the sum of log(1 + t r)."""
 
     def rates(self, step: Array) -> Array:
-        """Returns the eigenvalues of `block_rates`, followed by the rate of the logarithm of the last unknown, if present."""
+        """Returns the eigenvalues of `block_rates` and, if present, the rate of the logarithm of the last unknown."""
         rates = self.block_rates(step)
         return rates if self.logarithm is None else np.append(rates, self.logarithm.slope * step[-1])
 
     def lowest(self, slope: float, step: Array) -> float:
-        """Returns the t that minimises `slope` * t minus sum log det (minus the logarithm of the last unknown, if present)."""
+        """Returns the t that minimises `slope` * t minus the sum of log det (and minus the logarithm of the last unknown, if
+        present).
+        """
         rates = self.rates(step)
         return _lowest(slope, rates, 1.0 if self.logarithm is None else np.append(np.ones(len(rates) - 1), self.logarithm.weight))
 
@@ -174,7 +179,7 @@ class FactoredDerivatives(ABC):
 def _triangular(R: Array, x: Array, transposed: bool) -> Array:
     """Returns R^-1 x or R^-T x for an upper triangular matrix R.
 
-    If R is in C order, LAPACK treats it as a transposed lower triangle.
+    If R is in C order, LAPACK uses its transpose, a lower triangular matrix.
     """
     if R.flags.f_contiguous:
         return lapack.dtrtrs(R, x, trans=int(transposed))[0]
@@ -186,9 +191,9 @@ class Local(FactoredDerivatives):
     """Derivatives of a `Barrier` at a point.
 
     Attributes:
-        W: matrices L^-1 F_i L^-T of every block with k rows, where the block at the point is L L', shapes (N, k k).
-        numbers: values L^-1 F_i L^-T of the k one-row blocks that are not joined with other blocks, shape (N, k); None without
-            such blocks.
+        W: matrices L^-1 F_i L^-T of every block with k rows, where L L' is the block at the point, shapes (N, k k).
+        numbers: values L^-1 F_i L^-T of the k one-row blocks that are not joined with other blocks, shape (N, k); None if there
+            are no one-row blocks.
     """
 
     W: list[Array]
@@ -255,12 +260,12 @@ def newton(
         p: feasible starting point, shape (N,).
         c: linear cost, shape (N,).
         tolerance: Newton decrement below which the iteration stops.
-        leave: function that returns True if the coordinates must be changed at a point, so that the iteration must stop.
-        here: derivatives of the barrier at the starting point, if they are known.
+        leave: function that returns True if the coordinates must be changed at a point, so that the iteration stops there.
+        here: derivatives of the barrier at the starting point, if they are known already.
 
     Returns:
-        The minimiser, its Newton decrement, and the derivatives at the minimiser. Callers must check the decrement, which is
-        infinite if rounding prevents its computation.
+        The point of the minimum, its Newton decrement, and the derivatives at this point. Callers must check the Newton
+        decrement, which is infinite if rounding prevents its computation.
     """
     here = here or barrier.at(p)
     assert here is not None, "the starting point is feasible"
@@ -288,7 +293,9 @@ def newton(
 
 
 def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
-    """Returns the t > 0 that minimises slope * t - sum(weights * log(1 + t * rates)), by Newton's method within an interval."""
+    """Returns the t > 0 that minimises slope * t - sum(weights * log(1 + t * rates)), which Newton's method finds within an
+    interval.
+    """
     high = 1 / -rates.min() if rates.min() < 0 else np.inf
     low, t = 0.0, min(1.0, 0.5 * high)
     for _ in range(30):
@@ -310,7 +317,9 @@ def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
 
 
 def boundary(here: FactoredDerivatives, step: Array) -> float:
-    """Returns the largest t for which p + t step is feasible. For this t, a block of the barrier becomes singular."""
+    """Returns the largest t for which the point p + t step is feasible. At the largest t, a block of the barrier becomes
+    singular.
+    """
     smallest = float(here.rates(step).min())
     return -1 / smallest if smallest < 0 else np.inf
 
@@ -324,7 +333,7 @@ SURE = 1.1  # safety factor on the distance between the last unknown, at a point
 
 
 def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close: float = np.inf) -> Array:
-    """Minimises the last unknown along the central path.
+    """Minimises the last unknown by following the central path.
 
     The path ends when the last unknown is below `enough`, or when the smallest possible value of this unknown is certainly
     above `enough`.
@@ -332,13 +341,13 @@ def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close:
     Args:
         barrier: barrier of the constraints.
         p: feasible point whose last unknown is above `enough`.
-        rows: total number of rows of all blocks of the barrier.
+        rows: total number of rows in all blocks of the barrier.
         enough: value of the last unknown below which the path ends.
         close: distance of the last unknown from its smallest possible value at which the path ends, if that value is certainly
             above `enough`.
 
     Returns:
-        The last point on the path.
+        The last point of the path that was reached.
 
     Raises:
         LinAlgError: the starting point is infeasible because of rounding.

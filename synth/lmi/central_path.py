@@ -1,21 +1,23 @@
 """Central path of the design problem, followed to its limit, which is a unique optimal solution.
 
 The optimum of (22) or (25) is attained by all pairs (X, Y) on a face of the feasible set. The value gamma is therefore unique,
-but the gain is not. An interior-point solver returns a point of this face that depends on its scaling and tolerance. The design
-is therefore defined as the limit, for mu -> 0, of the unique solution of the problem
+but the gain is not. An interior-point solver returns a point of this face that depends on the scaling and the tolerance of the
+solver. The design is therefore defined as the limit, for mu -> 0, of the unique solution of the problem
 
     maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta))
 
-The limit depends neither on a solver nor on state coordinates, input units or the time unit, because changing them only adds
-constants to the logarithms. The gains published in the paper are equal to this limit.
+The limit does not depend on a solver, nor on state coordinates or units of inputs and time, which only add constants to the
+logarithms. The gains published in the paper are equal to the gains at this limit.
 
-The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11), with a predictor step along its
-tangent in mu. Two changes of coordinates keep all numbers near 1. In the state coordinates T = [Q R], equation (12) becomes X =
-diag(X_Q, X_R) and Y = [0 Y_R]. State feedback is the case of an empty Q and R = I. At each point of the path, the coordinates
-are changed again so that X = I and Y = 0. The current gain then becomes part of the plant.
+The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11); each step starts with a predictor
+along the tangent of the path in mu. Two changes of coordinates keep all numbers close to 1. In the state coordinates T = [Q R],
+equation (12) becomes X = diag(X_Q, X_R) and Y = [0 Y_R]. State feedback is the case of an empty Q and R = I. At each point of
+the path, the coordinates are changed again so that X = I and Y = 0. The gain at the current point then becomes part of the
+plant.
 
-For a discrete plant, log det of the larger matrix in `certificate.py` replaces the three logarithms, because this matrix
-contains all constraints. As the sample period decreases, this path approaches the path of the continuous plant.
+For a discrete plant, log det of the larger matrix in `certificate.py` replaces the three logarithms, because the larger matrix
+contains all constraints. As the sample period decreases, the path of the discrete plant approaches the path of the continuous
+plant.
 """
 
 import contextlib
@@ -69,14 +71,14 @@ BREAKS_OFF = (
 
 @dataclass(frozen=True, eq=False)
 class CentralPoint:
-    """Strictly feasible point on the central path.
+    """Strictly feasible point that lies on the central path.
 
     Attributes:
         X: matrix X of the form (12), shape (n, n).
         K: gain Y_R X_R^-1 of (13), shape (m, q). The gain K acts on the q coordinates that R spans.
-        eta: value gamma^-2 of the point. The optimal eta is larger by at most (2 n + d) mu.
-        mu: path parameter mu of this point, divided by eta.
-        proof: an X that proves the bound, if `X` itself does not prove it because of states that are unobservable in z;
+        eta: value of gamma^-2 at the point. The optimal eta is larger than the eta of this point by at most (2 n + d) mu.
+        mu: path parameter mu of the point, divided by eta.
+        proof: matrix that proves the bound if `X` itself does not prove it because of states that are unobservable in z;
             otherwise None.
     """
 
@@ -90,17 +92,17 @@ class CentralPoint:
 
     @property
     def gamma(self) -> float:
-        """Bound gamma = eta^-1/2 that this point proves, as in (23) and (26)."""
+        """Bound gamma = eta^-1/2 that the point of the path proves, as in (23) and (26)."""
         return self.eta**-0.5
 
     def in_units(self, states: Array, inputs: Array, measured: Array) -> "CentralPoint":
-        """Returns the point in other units.
+        """Returns the point of the path, converted to other units.
 
         Args:
             states: present unit of each state, expressed in the new unit, shape (n,).
             inputs: present unit of each input, expressed in the new unit, shape (m,).
-            measured: present unit of each of the q inputs of K, expressed in the new unit, shape (q,). The argument can also be
-                a matrix S of shape (q, q), if the new inputs of K are S times the present inputs.
+            measured: present unit of each of the q inputs of K, expressed in the new unit, shape (q,). The argument `measured`
+                can also be a matrix S of shape (q, q), if the new inputs of K are S times the present inputs.
         """
         square = np.outer(states, states)
         proof = None if self.proof is None else square * self.proof
@@ -110,13 +112,14 @@ class CentralPoint:
 
 
 def central_path(plant: Plant, Q: Array, R: Array, mu: float = LIMIT) -> list[CentralPoint]:
-    """Returns points along the central path of (25), or of (22) if Q is empty and R = I. The last point is the design.
+    """Returns points along the central path of (25), or of (22) if Q is empty and R = I. The last point of the path is the
+    design.
 
     Args:
         plant: plant with n states and m inputs.
         Q: matrix of shape (n, n - q).
-        R: matrix of shape (n, q), such that [Q R] is regular.
-        mu: value of mu / eta at which the path ends. The default is close to the limit; a larger value ends farther
+        R: matrix of shape (n, q) for which [Q R] is invertible.
+        mu: value of mu / eta at which the path ends. The default is close to the limit; a larger value ends the path farther
             from the optimum.
 
     Returns:
@@ -173,7 +176,7 @@ def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) ->
 
 
 def _border(step: float) -> str:
-    """Returns the name of the stability boundary: imaginary axis or unit circle."""
+    """Returns the name of the stability boundary: the imaginary axis or the unit circle."""
     return "unit circle" if step else "imaginary axis"
 
 
@@ -236,14 +239,14 @@ class PathPoint:
 
     @property
     def plant(self) -> Plant:
-        """Plant in the current coordinates."""
+        """Plant in the current coordinates of the path."""
         return self.basis.plant
 
     def find_feasible_point(self) -> None:
-        """Finds a strictly feasible point.
+        """Finds a strictly feasible point, at which the path can start.
 
         Feasible points exist if and only if He(A X + B Y) < 0, where He(M) = M + M', has a solution with the structure (12). If
-        this pair (X, Y) is multiplied by a small enough factor, it satisfies (24) with some eta > 0. The method therefore
+        a solution (X, Y) is multiplied by a small enough factor, it satisfies (24) with some eta > 0. The method therefore
         minimises s subject to He(A X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until s < 0.
 
         Raises:
@@ -285,12 +288,14 @@ class PathPoint:
         """Scales a pair (X, Y) with He(A X + B Y) < 0 so that it satisfies (24).
 
         Returns:
-            The scaled X and Y, and the largest eta that (24) allows for them.
+            The scaled X and Y, and the largest eta that (24) allows for these matrices.
         """
         plant, n, k = self.plant, self.basis.n, len(self.basis.system)
 
         def inner() -> Array:
-            """Returns the matrix of (24). For a discrete plant, the additional rows are eliminated by a Schur complement."""
+            """Returns the matrix of (24). For a discrete plant, the additional rows of the matrix are eliminated by a Schur
+            complement.
+            """
             F = bounded_real_matrix(plant, X, Y, 0.0, self.step)
             return F[:k, :k] - F[:k, k:] @ np.linalg.solve(F[k:, k:], F[k:, :k]) if self.step else F
 
@@ -307,11 +312,11 @@ class PathPoint:
         return X, Y, 1 / linalg.eigh(disturbance @ disturbance.T, -F, eigvals_only=True)[-1]
 
     def follow(self, mu_end: float) -> Iterator[CentralPoint]:
-        """Follows the path until mu = mu_end eta, and yields the points at `RESTS`.
+        """Follows the path until mu / eta reaches `mu_end`, and yields the points at which mu / eta has a value in `RESTS`.
 
-        At these points, mu / eta is fixed instead of mu. For this purpose, log(eta) eta / mu replaces eta / mu in the
-        objective. The points are therefore independent of units and of the first point. Some of these points are designs, or
-        define L (14).
+        At the points in `RESTS`, mu / eta is fixed instead of mu. To fix mu / eta, log(eta) eta / mu replaces eta / mu in the
+        objective. The points are therefore independent of units and of the first point of the path. Some of the points in
+        `RESTS` are designs, or define the matrix L of (14).
         """
         rest, moves = max(FIRST, mu_end), 0
         barrier, start, here = self._entered(rest)
@@ -342,7 +347,9 @@ class PathPoint:
             rest, (barrier, start, here) = following, moved
 
     def _entered(self, rest: float) -> tuple[WithLogTerm, Array, FactoredDerivatives | None]:
-        """Returns the barrier for a value of mu / eta, the current point, and the derivatives there (None if infeasible)."""
+        """Returns the barrier for a value of mu / eta, the current point, and the derivatives at this point (None if
+        infeasible).
+        """
         barrier, n, m = WithLogTerm(self._barrier(), 1 / rest), self.basis.n, self.basis.m
         start = self.basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
         return barrier, start, barrier.at(start)
@@ -369,7 +376,7 @@ class PathPoint:
         return bool(sizes[-1] > FAR * sizes[0])
 
     def _barrier(self) -> Derivatives:
-        """Returns the barrier of (24) and of X > 0."""
+        """Returns the barrier of the constraints (24) and X > 0."""
         basis, n = self.basis, self.basis.n
         if self.step:
             return Barrier([(-basis.F0, -basis.F)])
@@ -378,7 +385,9 @@ class PathPoint:
         return Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
 
     def _start_barrier(self) -> Derivatives:
-        """Returns the barrier for the search for a feasible point. The last unknown is s."""
+        """Returns the barrier for the search that finds a feasible point. The last unknown of this barrier is s in He(A X + B
+        Y) < s I.
+        """
         basis, n, m = self.basis, self.basis.n, self.basis.m
         if basis.size > DENSE and not self.step:
             return FEATURES.load("large plants").start_barrier(self.plant, self.free, LARGEST_Y)
@@ -422,17 +431,17 @@ class PathPoint:
         self.basis = Basis(system, n, m, a, self.step)
 
     def _gain(self, X: Array, Y: Array) -> Array:
-        """Returns the gain at the current point, expressed in the initial coordinates:
+        """Returns the gain at the current point, expressed in the coordinates in which the path started.
 
-        Y_R X_R^-1 plus the gain that the plant has absorbed so far.
+        The gain is Y_R X_R^-1 plus the gain that has become part of the plant so far.
         """
         a = self.free
         return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
 
 
 def next_rest(mu: float, mu_end: float) -> float:
-    """Returns the next value of mu / eta on the path: the next value in `RESTS`, or a value on the way to mu_end.
+    """Returns the next value of mu / eta on the path, which is the next value in `RESTS` or a value on the way to mu_end.
 
-    The values in `RESTS` are the same for every plant.
+    The values in `RESTS` are the same for all plants.
     """
     return min(max((rest for rest in RESTS if mu_end < rest < 0.5 * mu), default=mu_end), 0.5 * mu)

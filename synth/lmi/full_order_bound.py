@@ -3,7 +3,7 @@
     minimise t   over the plant's `SynthesisInequality` for (X, eta), that of the transposed plant for (S, t), and
                  [S J2 J1'; J1 J2' X] > 0,  [eta 1; 1 t] > 0
 
-The modules `synthesis_inequality.py` and `lower_bound.py` derive these LMIs and prove the bound. The path is followed as in
+The modules `synthesis_inequality.py` and `lower_bound.py` derive the LMIs and prove the bound. The path is followed as in
 `central_path.py`, in coordinates in which X = S = I. For state feedback, only the inequality of the plant is used.
 """
 
@@ -54,16 +54,17 @@ def find_lower_bound(
     Args:
         plant: plant with n states and m inputs.
         Cy: matrix of the measurements y = C_y x + Dyw w, shape (q, n). The bound holds for output feedback of any order from y.
-            Default: the measurements of the plant. If the plant has no measurements either, the bound is for state feedback.
-            The bound for state feedback also holds for output feedback, but the bound for output feedback may be higher.
+            Default: the measurements of the plant. If C_y is not given and the plant has no measurements, the bound is for
+            state feedback. The bound for state feedback also holds for output feedback, but the bound for output feedback may
+            be higher.
         path: points of the central path of `state_feedback` for this plant; empty if not computed yet.
-        beyond_control: bound that `bound_beyond_control` returns; None if not computed yet.
+        beyond_control: bound that the function `bound_beyond_control` returns; None if not computed yet.
         Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
 
     Returns:
-        The lower bound with its proof; `gamma` is 0 if nothing is proved. If w acts on y, and there is a non-decaying mode on
-        which w does not act, the LMIs do not have a strictly feasible point. In this case, only zeros and the invariant point
-        can prove a bound, and `reason` describes the mode.
+        The lower bound with its proof; `gamma` is 0 if nothing can be proved. If w acts on y, and there is a non-decaying mode
+        on which w does not act, the LMIs do not have a strictly feasible point. Without a strictly feasible point, only zeros
+        and the invariant point can prove a bound, and `reason` describes the mode.
 
     Raises:
         InputError: C_y or Dyw does not fit the plant; see `Plant.measured`.
@@ -89,7 +90,7 @@ def find_lower_bound(
 
 
 def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], beyond_control: LowerBound | None) -> LowerBound:
-    """Returns the bound of `find_lower_bound` for output feedback, or for state feedback if the plant is not measured."""
+    """Returns the bound of `find_lower_bound` for output feedback, or for state feedback if the plant has no measurements."""
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     dual = plant.transposed if measured else None
     observer = SynthesisInequality.of(dual) if dual is not None else None
@@ -117,8 +118,8 @@ def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], b
 def _for_state_feedback(plant: Plant, one: SynthesisInequality, path: Sequence[CentralPoint]) -> LowerBound:
     """Returns the lower bound for state feedback.
 
-    The bound comes from the dual of (22). If the plant's `SynthesisInequality` has fewer coordinates than (22), or if (22) has
-    no path, the bound comes from the central path of this inequality.
+    The bound for state feedback comes from the dual problem of (22). If the plant's `SynthesisInequality` has fewer coordinates
+    than (22), or if (22) has no path, the bound comes from the central path of this inequality.
     """
     bound = (
         _along_joint_path(plant, None, one, None)
@@ -140,7 +141,8 @@ def _along_joint_path(
 
 
 def bound_beyond_control(plant: Plant) -> LowerBound:
-    """Returns the lower bound at the invariant point; 0 if the control can change every direction of z at every frequency.
+    """Returns the lower bound that the invariant point gives; 0 if the control can change every direction of z at every
+    frequency.
 
     For a discrete plant, the frequency is found with the bilinear image of the plant, but the bound is computed for the plant
     itself.
@@ -160,10 +162,10 @@ def _unmeasured_disturbance_bound(plant: Plant, dual: Plant) -> LowerBound:
     """Returns the lower bound that follows from disturbances without effect on measurements, and outputs that no force changes.
 
     Disturbances are considered at zero and infinite frequency, and outputs at infinite frequency. For a discrete plant, the
-    bound is 0.
+    lower bound is 0.
 
-    Other zeros on the imaginary axis are not used, because floating-point numbers cannot represent them exactly. Zeros that are
-    only close to the axis do not give a bound.
+    Zeros at other frequencies on the imaginary axis are not used, because floating-point numbers cannot represent these zeros
+    exactly. Zeros that are only close to the axis do not give a bound.
     """
     if plant.dt is not None:
         return LowerBound(0.0)
@@ -174,7 +176,7 @@ def _unmeasured_disturbance_bound(plant: Plant, dual: Plant) -> LowerBound:
 
 
 def _of_state_feedback(plant: Plant, path: Sequence[CentralPoint]) -> list[tuple[DualCertificate, None, float]]:
-    """Returns dual certificates along the path of (22), even if the end of the path cannot be reached."""
+    """Returns dual certificates for points along the path of (22), even if the end of the path cannot be reached."""
     points = [point for point in path if point.mu > 0.5 * STATE_END]
     if not path:
         n = len(plant.A)
@@ -193,9 +195,10 @@ def _sharpest(
     other: SynthesisInequality | None,
     points: Sequence[tuple[DualCertificate, DualCertificate | None, float]],
 ) -> LowerBound:
-    """Returns the largest lower bound that points of a path prove. The search goes from the last point back to earlier points.
+    """Returns the largest lower bound that is proved by points of a path. The search starts at the last point of the path and
+    goes back to earlier points.
 
-    The search ends at the first point whose proof loses no digits to rounding.
+    The search ends at the first point for which the proof loses no digits to rounding.
     """
     best = LowerBound(0.0)
     for state, observer, gamma in reversed(points):
@@ -208,7 +211,7 @@ def _sharpest(
 def _joint_path(
     plant: Plant, dual: Plant | None, one: SynthesisInequality, other: SynthesisInequality | None
 ) -> Iterator[tuple[DualCertificate, DualCertificate | None, float]]:
-    """Yields dual certificates and gamma at points that approach the optimum, until the path cannot be followed further."""
+    """Yields dual certificates and gamma at points that approach the optimum, until the path cannot be followed any further."""
     if sum(len(side.J) * (len(side.J) + 1) // 2 + 1 for side in (one, other) if side is not None) > MOST:
         return
     first, second = _ProjectedLmi(one, plant), None
@@ -256,8 +259,9 @@ def _joint_path(
 def _feasible(plant: Plant) -> Array:
     """Returns an X that satisfies the plant's `SynthesisInequality` for some eta, shape (n, n).
 
-    X is the inverse of the solution of a Riccati equation in the units of `own_units`. The output z of this equation also
-    contains the states and inputs. An X that is feasible with this larger z is also feasible with the z of the plant.
+    X is the inverse of a matrix that solves a Riccati equation in the units of `own_units`. The output z in the Riccati
+    equation also contains the states and the inputs. An X that is feasible with the larger z is also feasible with the z of the
+    plant.
     """
     units = own_units(plant)
     own = units.into(plant)
@@ -279,7 +283,9 @@ def _feasible(plant: Plant) -> Array:
 
 
 def _feasible_part(Q: Array, c: Array) -> Array:
-    """Returns an X > 0 that satisfies an `AntistablePart`'s inequality for some eta, from Q X + X Q' = c c' / 2 - epsilon I."""
+    """Returns an X > 0 that satisfies the inequality of an `AntistablePart` for some eta, computed from Q X + X Q' = c c' / 2 -
+    epsilon I.
+    """
     if not len(Q):
         return Q
     most, margin = (linalg.solve_continuous_lyapunov(Q, right) for right in (c @ c.T, np.eye(len(Q))))
@@ -288,7 +294,9 @@ def _feasible_part(Q: Array, c: Array) -> Array:
 
 
 class _ProjectedLmi:
-    """One of the two inequalities, with its current solution X = T T'. In the coordinates of T, X is the identity."""
+    """One of the two synthesis inequalities (of the plant or of the transposed plant), with its current solution X = T T'. In
+    the coordinates of T, X is the identity.
+    """
 
     def __init__(self, side: SynthesisInequality, plant: Plant) -> None:
         self.n, self.coordinates, self.part = len(plant.A), side.coordinates, side.antistable
@@ -313,14 +321,16 @@ class _ProjectedLmi:
         return 0.5 / (float(np.linalg.norm(np.linalg.solve(factor, self.b), 2)) ** 2 or 0.5)
 
     def steps(self) -> Array:
-        """Returns the coefficients of the unknowns of X in the matrix -He(Q X U'), shape (N, k, k), where He(M) = M + M'."""
+        """Returns the coefficients that the unknowns of X have in the matrix -He(Q X U'), shape (N, k, k), where He(M) = M +
+        M'.
+        """
         U, Q = self.U @ self.T, self.Q @ self.T
         half = np.einsum("ki,li->ikl", Q[:, self.rows], U[:, self.columns])
         half[self.rows != self.columns] += np.einsum("ki,li->ikl", Q[:, self.columns], U[:, self.rows])[self.rows != self.columns]
         return -half - half.swapaxes(1, 2)
 
     def units(self) -> Array:
-        """Returns the coefficient matrices of the unknowns in X, shape (N, a, a)."""
+        """Returns the coefficient matrices of those unknowns that are entries of X, shape (N, a, a)."""
         index, E = np.arange(len(self.rows)), np.zeros((len(self.rows), *self.T.shape))
         E[index, self.rows, self.columns] = E[index, self.columns, self.rows] = 1
         return E
@@ -336,7 +346,7 @@ class _ProjectedLmi:
 
 
 def _coupling_matrix(first: _ProjectedLmi, second: _ProjectedLmi, between: Array) -> Array:
-    """Returns the matrix J2 J1' in the current coordinates of both inequalities."""
+    """Returns the matrix J2 J1' in the current coordinates of the two inequalities."""
     return np.linalg.solve(second.T, np.linalg.solve(first.T, between.T).T)
 
 

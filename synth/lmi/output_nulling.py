@@ -1,4 +1,4 @@
-"""States that a gain F can make unobservable in z: if the loop with u = F x starts in such a state, (C + D F) x stays 0."""
+"""States that a gain F can make unobservable in z: if the loop with u = F x starts in such a state, z = (C + D F) x remains 0."""
 
 from collections.abc import Iterator
 
@@ -24,7 +24,9 @@ def output_nulling_gains(plant: Plant) -> Iterator[Array]:
 
 
 def in_balanced_coordinates(plant: Plant, T: Array) -> tuple[Plant, Array]:
-    """Returns the plant in coordinates for determining ranks: the columns of T, divided by their lengths; and these lengths."""
+    """Returns the plant in coordinates in which ranks are determined (the columns of T, divided by their lengths), and these
+    lengths.
+    """
     lengths = np.linalg.norm(T / balance(plant.A)[1][:, None], axis=0)
     return plant.in_coordinates(T / lengths), lengths
 

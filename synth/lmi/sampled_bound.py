@@ -1,9 +1,9 @@
 """Search for the lower bound of a sampled-data loop: the highest level for which no controller reaches a norm below 1.
 
-For each level of the L2 gain, there is an equivalent discrete plant (`synth/analysis/sampled_loop.py`). For any controller that
-acts at the samples, the L2 gain is below the level if and only if the l2 gain of this plant is below 1. Delayed forces are
-states of this plant, and the measurement noise is one of its disturbances. If no controller of any order reduces the norm of
-this plant below 1, the level is a lower bound on the L2 gain.
+Each level of the L2 gain has an equivalent discrete plant (`synth/analysis/sampled_loop.py`). For controllers that act at the
+samples, the L2 gain is below the level if and only if the l2 gain with this plant is below 1. Delayed forces are states of the
+discrete plant, and the measurement noise is one of its disturbances. If no controller of any order reduces the norm of the
+discrete plant below 1, the level is a lower bound on the L2 gain.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ def find_sampled_bound(problem: SampledDataProblem, near: float) -> SampledBound
     """Returns the highest level that is proved to be a lower bound on the L2 gain; None if no level is proved.
 
     Args:
-        problem: sampled-data design problem, whose plant has held and delayed forces.
+        problem: sampled-data design problem, whose plant includes held and delayed forces.
         near: level at which the search starts, such as the lower bound of the ideal loop.
     """
     below, above, level, best = 0.0, math.inf, near, None

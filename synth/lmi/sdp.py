@@ -1,6 +1,6 @@
 """Solution of the LMI problems by the solver Clarabel through cvxpy.
 
-The solver serves only as an independent check of the bounds. The designs are computed with the central path
+The solver Clarabel serves only as an independent check of the bounds. The designs are computed with the central path
 (`central_path.py`), which does not need a solver.
 """
 
@@ -17,7 +17,7 @@ from synth.plant.numerics import DesignError, NoSolutionError
 
 @dataclass(frozen=True, eq=False)
 class LmiSolution:
-    """Solution that the solver returned: one of the optimal points, up to the tolerance of the solver.
+    """Solution that the solver returned; it is one of the optimal points, up to the tolerance of the solver.
 
     Attributes:
         X: matrix X of LMI (24), shape (n, n).
@@ -33,25 +33,24 @@ class LmiSolution:
 
     @property
     def gamma(self) -> float:
-        """Bound gamma = eta^-1/2, as in (23)."""
+        """Bound gamma = eta^-1/2 of the solution, as in (23)."""
         return self.eta**-0.5
 
 
 def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> LmiSolution:
     """Solves (25): maximises eta subject to (24) with X = Q X_Q Q' + R X_R R', Y = Y_R R' (12), X_Q > 0, X_R > 0.
 
-    If Q is empty and R = I, this is problem (22). For a closed loop with B = 0, this is problem (27). For a discrete plant, the
-    larger matrix of `certificate.py` replaces (24).
+    If Q is empty and R = I, the problem is (22). For a closed loop with B = 0, the problem is (27). For a discrete plant, the
+    larger matrix of `certificate.py` replaces the matrix of (24).
 
     Args:
         plant: plant with n states and m inputs.
         Q: matrix of shape (n, n - q).
         R: matrix of shape (n, q).
-        gain: fixed gain K, shape (m, q). If this gain is given, Y_R = K X_R, and the optimum is the best bound of (25) for this
-            gain.
+        gain: fixed gain K, shape (m, q). If K is given, Y_R = K X_R, and the optimum is the best bound of (25) for the gain K.
 
     Raises:
-        NoSolutionError: the solver reports that there is no solution, or eta is zero within the tolerance.
+        NoSolutionError: the solver reports that the problem has no solution, or eta is zero within the tolerance.
         DesignError: the solver failed.
     """
     import cvxpy as cp  # this import takes 0.9 s, and only this function needs it
@@ -88,13 +87,13 @@ def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> Lm
 
 
 def solve_sdp(problem: Any) -> None:
-    """Solves a `cvxpy.Problem` with Clarabel. The caller must check the values of the unknowns.
+    """Solves a `cvxpy.Problem` with Clarabel. The caller must check the values of the optimisation variables.
 
     Args:
         problem: problem to solve, with an objective.
 
     Raises:
-        NoSolutionError: the solver reports that there is no solution.
+        NoSolutionError: the solver reports that the problem has no solution.
         DesignError: the solver failed.
     """
     import cvxpy as cp

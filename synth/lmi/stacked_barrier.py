@@ -4,8 +4,8 @@
 
 The unknowns are the symmetric matrix X and t. Let L = -[A; C], R = [I; 0] and P = S^-1. The second derivative of -log det S for
 changes of X along the unit matrices e_p e_q' and e_s e_t' is 2 (g[t, p] g[q, s] + r[t, p] a[q, s]), where g = R' P L, r = L' P
-L and a = R' P R. The symbols are defined in `structured_barrier.py`. The sum of these derivatives over the loops is one matrix
-product with n^4 operations per loop.
+L and a = R' P R. The symbols are defined in `structured_barrier.py`. The sum of the second derivatives over the loops is one
+matrix product with n^4 operations per loop.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -39,7 +39,7 @@ class StackedBarrier:
         self.upper = self.rows * n + self.columns
 
     def matrix(self, p: Array) -> Array:
-        """Returns X from the vector of unknowns p, shape (n, n)."""
+        """Returns the matrix X, given the vector of unknowns p, shape (n, n)."""
         n = self.shape[2]
         X = np.zeros((n, n))
         X[self.rows, self.columns] = X[self.columns, self.rows] = p[:-1]
@@ -107,8 +107,8 @@ class StackedLocal(FactoredDerivatives):
 
     Attributes:
         barrier: barrier to which the derivatives belong.
-        inverse: inverse Cholesky factors of S for every loop, shape (V, n + d, n + d).
-        alone: inverse Cholesky factor of X, shape (n, n).
+        inverse: inverse of the Cholesky factor of S for every loop, shape (V, n + d, n + d).
+        alone: inverse of the Cholesky factor of X, shape (n, n).
     """
 
     barrier: StackedBarrier

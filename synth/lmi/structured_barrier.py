@@ -1,18 +1,18 @@
 """Logarithmic barrier as in `barrier.py`, for unknowns that are entries of matrices.
 
-Computing the Hessian takes n^4 operations; with a dense basis of the unknowns, it would take n^6. Every constraint of the
-central path has the form
+Computing the Hessian takes n^4 operations; with a dense basis of the unknowns, this computation would take n^6. Every
+constraint of the central path has the form
 
     S = S0 + L [X; Y] R' + R [X; Y]' L' + p_N W > 0
 
 with the unknowns X (symmetric and block diagonal), Y and p_N. Let P = S^-1. The second derivative of -log det S for changes of
 [X; Y] along the unit matrices e_p e_q' and e_s e_t' is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P L, r = L' P L and
-a = R' P R. The derivative thus consists of products of entries of three small matrices.
+a = R' P R. The second derivative thus consists of products of entries of three small matrices.
 
-If S is nearly singular, the rounding errors of the largest terms of the Hessian would be larger than the other terms.
+If S is nearly singular, the rounding errors of the largest terms of the Hessian would be larger than the remaining terms.
 Therefore, the sums that form the Hessian omit the part of P that belongs to the smallest eigenvalues of S. Householder
-reflections then add the rows of the omitted part to the Cholesky factor of the Hessian. This method keeps as many digits as the
-QR decomposition of all rows in `barrier.py`.
+reflections then add the rows of the omitted part to the Cholesky factor of the Hessian. The reflections keep as many digits as
+the QR decomposition of all rows in `barrier.py`.
 """
 
 import functools
@@ -81,13 +81,13 @@ def start_constraints(plant: Plant, largest: float) -> list[Constraint]:
 
 
 def path_barrier(plant: Plant, free: int) -> "StructuredBarrier":
-    """Returns the barrier of (24) and of X > 0. The argument `free` is the number of columns of Q."""
+    """Returns the barrier of the constraints (24) and X > 0. The argument `free` is the number of columns of Q."""
     n, m = plant.B.shape
     return StructuredBarrier(path_constraints(plant), n, m, free)
 
 
 def start_barrier(plant: Plant, free: int, largest: float) -> "StructuredBarrier":
-    """Returns the barrier for the search for a feasible point.
+    """Returns the barrier for the search that finds a feasible point.
 
     The argument `largest` is the bound on |Y|, and `free` is the number of columns of Q.
     """
@@ -103,14 +103,14 @@ def _definite(n: int, m: int, sign: float) -> Constraint:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """Unknowns in one row of [X; Y].
+    """The unknowns (optimisation variables) in one row of [X; Y].
 
     Attributes:
-        row: index of the row.
-        others: columns of the unknowns in this row.
-        begin, end: range of indices of these unknowns in the vector of unknowns.
-        upper, lower: positions of the unknowns of X from `begin` on, and of their mirror images. The positions refer to a flat
-            square matrix with the rows and columns `row` to n.
+        row: index of the row in [X; Y].
+        others: column indices of the unknowns in this row.
+        begin, end: range of indices that the row's unknowns have in the vector of all unknowns.
+        upper, lower: positions of the unknowns of X, starting with the index `begin`, and of their mirror images. The positions
+            refer to a flat square matrix with the rows and columns `row` to n.
     """
 
     row: int
@@ -123,7 +123,7 @@ class _Run:
 
 @functools.cache
 def _runs(n: int, m: int, free: int) -> list[_Run]:
-    """Returns the unknowns in each row of [X; Y], ordered by row."""
+    """Returns the unknowns in each row of the matrix [X; Y], ordered by row."""
     rows, columns = places(n, m, free)
     of_x = int(np.sum(rows < n))
     first = np.flatnonzero(np.diff(rows, prepend=-1)).tolist()
@@ -140,7 +140,7 @@ class StructuredBarrier:
     """Barrier of constraints on the unknowns of (22) or (25).
 
     Args:
-        constraints: constraints on [X; Y] that the barrier represents, all with the same n and m.
+        constraints: constraints on the matrix [X; Y] that the barrier represents, all with the same n and m.
         n, m, free: numbers of states, of inputs, and of columns of Q.
     """
 
@@ -197,7 +197,7 @@ class StructuredBarrier:
         return StructuredLocal(trace, scale, triangle, self, bases)
 
     def matrix(self, p: Array) -> Array:
-        """Returns [X; Y] from the vector of unknowns p, shape (n + m, n)."""
+        """Returns the matrix [X; Y], given the vector of unknowns p, shape (n + m, n)."""
         unknown = np.zeros(self.shape)
         unknown[self.rows, self.columns] = p[:-1]
         unknown[self.columns[self.twice], self.rows[self.twice]] = p[:-1][self.twice]
@@ -209,7 +209,8 @@ class StructuredBarrier:
         return self.weight * (Z[self.rows, self.columns] + self.twice * Z[columns, rows])
 
     def _rows(self, part: Constraint, U: Array, count: int) -> Array:
-        """Returns rows as in `barrier.Barrier.at`, for all pairs of columns of U that contain one of the first `count` columns.
+        """Returns the same rows as `barrier.Barrier.at`, for all pairs of columns of U that contain one of the first `count`
+        columns.
 
         The result has one column per unknown, shape (.., N).
         """
@@ -234,7 +235,8 @@ class StructuredBarrier:
         The symmetric matrix [X, Y'; Y, 0] gives the same S, if R is padded with zeros. The second derivative of log det S along
         e_p e_q' + e_q e_p' and e_s e_t' + e_t e_s' is the sum of four terms of the form in the module docstring. The sum is an
         entry of a product of thin matrices, 2 (U V' + V U')[s, t], where U depends only on q and V only on p. Every constraint
-        adds four columns to U and to V. The constraints X > 0 and X < I add one column, because their four terms are equal.
+        adds four columns each to U and V. The constraints X > 0 and X < I each add one column, because the four terms of the
+        sum are equal.
 
         Args:
             light: parts P of S^-1 that belong to the larger eigenvalues of S, one for each constraint.
@@ -289,7 +291,7 @@ class StructuredLocal(FactoredDerivatives):
 
     Attributes:
         barrier: barrier to which the derivatives belong.
-        bases: matrix U with S^-1 = U U' for every constraint, shapes (k, k).
+        bases: matrix U with S^-1 = U U' for each constraint, shapes (k, k).
     """
 
     barrier: StructuredBarrier

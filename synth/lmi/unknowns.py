@@ -10,9 +10,10 @@ from synth.plant.generalized import Plant
 
 
 class Basis:
-    """The N unknowns p = (X_Q, X_R, Y_R, eta) and their coefficient matrices, in coordinates in which (12) is block diagonal.
+    """The N unknowns p = (X_Q, X_R, Y_R, eta) of an LMI problem and their coefficient matrices, in coordinates in which (12) is
+    block diagonal.
 
-    The basis belongs to one plant, or to a stack of plants of the same shape along leading axes (...).
+    The basis belongs to one plant, or to several plants of the same shape that are stacked along leading axes (...).
 
     Args:
         system: matrices [A B Bw; C D Dw], shape (..., k, n + m + r).
@@ -20,9 +21,9 @@ class Basis:
         step: sample period of a discrete plant [s]; 0 for a continuous plant.
 
     Attributes:
-        places: row and column indices in [X; Y] of all unknowns except the last one, shapes (N - 1,). For the unknowns of X,
-            these are the indices on and above the diagonal.
-        size: number N of unknowns.
+        places: row and column indices in the matrix [X; Y] of all unknowns except the last one, shapes (N - 1,). For the
+            unknowns of X, the indices are those on and above the diagonal.
+        size: number N of optimisation variables.
     """
 
     def __init__(self, system: Array, n: int, m: int, free: int, step: float) -> None:
@@ -36,13 +37,13 @@ class Basis:
 
     @classmethod
     def of(cls, plant: Plant, free: int, step: float = 0.0) -> "Basis":
-        """Returns the unknowns and coefficient matrices for one plant."""
+        """Returns the unknowns and their coefficient matrices for one plant."""
         n, m = plant.B.shape
         return cls(plant.system_matrix, n, m, free, step)
 
     @property
     def plant(self) -> Plant:
-        """Plant to which the basis belongs, if the basis is not for a stack of plants."""
+        """Plant to which the basis belongs, if the basis belongs to only one plant."""
         n, m = self.n, self.n + self.m
         top, low = self.system[:n], self.system[n:]
         return Plant(top[:, :n], top[:, n:m], top[:, m:], low[:, :n], low[:, n:m], low[:, m:])
@@ -78,11 +79,11 @@ class Basis:
         return F
 
     def pack(self, X: Array, Y: Array, last: float) -> Array:
-        """Returns the vector of unknowns from X, Y and the last unknown."""
+        """Returns the vector of all unknowns, given X, Y and the last unknown."""
         return np.append(np.concatenate([X, Y])[self.places], last)
 
     def unpack(self, p: Array) -> tuple[Array, Array, Any]:
-        """Returns X, Y and the last unknown from a vector p of unknowns, shape (..., N)."""
+        """Returns X, Y and the last unknown, given a vector p of all unknowns, shape (..., N)."""
         rows, columns = self.places
         unknown = np.zeros((*p.shape[:-1], self.n + self.m, self.n))
         unknown[..., rows, columns] = p[..., :-1]
@@ -93,10 +94,10 @@ class Basis:
 
 @functools.cache
 def places(n: int, m: int, free: int) -> tuple[Array, Array]:
-    """Returns row and column indices in [X; Y] of all unknowns except eta.
+    """Returns the row and column indices in the matrix [X; Y] of all unknowns except eta.
 
-    The unknowns of X_Q and X_R on and above the diagonal come first, row by row. The unknowns of Y_R are after them, also row
-    by row.
+    The unknowns of X_Q and X_R on and above the diagonal come first, row by row. The unknowns of Y_R follow those of X_R, also
+    row by row.
     """
     rows, columns = np.triu_indices(n)
     inside = (rows >= free) | (columns < free)  # False for entries that would couple the two blocks of the matrix

@@ -1,13 +1,14 @@
-"""Removes stable states that are unobservable in z from the LMI problems, and adds these states to the solution again.
+"""Removes the stable states that are unobservable in z from the LMI problems, and later adds these states to the solution
+again.
 
-A gain F may make states unobservable in z: if the loop with u = F x starts in such a state, (C + D F) x stays 0. If these
-states decay, the matrix X of (22) and (25) may grow without limit along these states, without an effect on the objective. The
-problem then has no central path, and the gains on these states are arbitrary. Therefore, the states are removed. The problem
-for the remaining states has the same optimum, and its solution gives the gain on the remaining states. The gain on the removed
-states is F, which is zero if z weights the force separately.
+A gain F may make states unobservable in z: if the loop with u = F x starts in such a state, z = (C + D F) x remains 0.
+If these states decay, the matrix X of (22) and (25) may grow without limit along these states, without an effect on the
+objective. In this case, the problem has no central path, and the gains on these states are arbitrary. The unobservable states
+are therefore removed. The problem for the remaining states has the same optimum, and its solution gives the gain on the
+remaining states. The gain on the removed states is F; this gain is zero if z weights the force separately.
 
-In (25), X and Y must satisfy (12). In the coordinates of [Q R], the removed space is therefore the sum of a part in Q, on which
-F is zero, and a part in R.
+In (25), X and Y must satisfy (12). In the coordinates of [Q R], the space of removed states is therefore the sum of a part in
+Q, on which F is zero, and a part in R.
 """
 
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ UNDRIVEN = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class UnobservableReduction:
-    """Plant without its stable states that are unobservable in z, and the transformation back to the whole plant.
+    """Plant without those stable states that are unobservable in z, and the transformation back to the whole plant.
 
     Attributes:
         rest: plant of the k remaining states.
@@ -53,11 +54,11 @@ class UnobservableReduction:
     step: float = 0.0
 
     def gain(self, K: Array) -> Array:
-        """Returns the gain of the whole plant from a gain K of the remaining plant, shape (m, q)."""
+        """Returns the gain for the whole plant that follows from a gain K for the remaining plant, shape (m, q)."""
         return K @ self.narrow + self.F
 
     def completed_x(self, K: Array, X: Array, eta: float) -> Array:
-        """Returns an X of the whole plant from an X of the remaining plant, shape (n, n).
+        """Returns an X for the whole plant that follows from an X for the remaining plant, shape (n, n).
 
         The result is the covariance of all states of the closed loop, if white noise gives the remaining states the covariance
         X.
@@ -73,7 +74,9 @@ class UnobservableReduction:
         return self.Z @ np.block([[X, X12], [X12.T, (X22 + X22.T) / 2]]) @ self.Z.T
 
     def proof(self, K: Array, X: Array, eta: float) -> Array:
-        """Returns an X of the whole plant that proves the same bound, with a large enough part for the removed states."""
+        """Returns an X for the whole plant that proves the same bound, in which the part for the removed states is large
+        enough.
+        """
         loop, k = self._loop(K), len(X)
         inside = np.linalg.inv(self.Z)
         whole = inside @ self.completed_x(K, X, eta) @ inside.T
@@ -94,12 +97,13 @@ class UnobservableReduction:
 
 
 def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> UnobservableReduction | None:
-    """Removes states that can be made unobservable in z without violating (12). Returns None if there are no such states.
+    """Removes those states that can be made unobservable in z without violating (12). Returns None if no states can be made
+    unobservable.
 
     Args:
         plant: plant with n states, without measurements.
         Q: matrix of shape (n, n - q).
-        R: matrix of shape (n, q), such that [Q R] is regular.
+        R: matrix of shape (n, q) for which [Q R] is invertible.
         step: sample period of a discrete plant [s]; 0 for a continuous plant.
     """
     a = Q.shape[1]
@@ -131,9 +135,10 @@ def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> Unobse
 
 
 def _invariant_bases(plant: Plant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
-    """Returns bases of V_q and V_r, whose sum is the largest (A + B F)-invariant subspace of V with the following structure.
+    """Returns bases of the spaces V_q and V_r, whose sum is the largest (A + B F)-invariant subspace of V with the following
+    structure.
 
-    V_q lies in the first `a` coordinates and satisfies F V_q = 0. V_r lies in the other coordinates.
+    V_q lies in the first `a` coordinates and satisfies F V_q = 0. V_r lies in the remaining coordinates.
     """
     loop, size = plant.closed_loop(F) if F.any() else plant, float(np.linalg.norm(plant.A)) or 1.0
     in_q, in_r = V @ _null(V[a:]), V @ _null(V[:a])
@@ -153,9 +158,9 @@ def _null(M: Array) -> Array:
 
 
 def _dual_basis(out: Array, T: Array) -> Array:
-    """Returns the dual basis of `out`, shape (n, k).
+    """Returns the dual basis of the columns of `out`, shape (n, k).
 
-    In the coordinates T x, this dual basis is orthogonal to the complement of `out`.
+    In the coordinates T x, the dual basis is orthogonal to the complement of `out`.
 
     Args:
         out: matrix with orthonormal columns, shape (n, k).

@@ -4,16 +4,17 @@ The states x_c of the law become integrators with their own inputs v (El Ghaoui,
 
     [u; v] = [D_c, C_c; B_c, A_c] [C_y x; x_c].
 
-For a discrete plant, the law is also discrete: x_c[k+1] = v[k]. A measured disturbance passes directly through the law. The
-effect of this disturbance through the law is therefore part of Bw and Dw of the larger plant.
+For a discrete plant, the law is also discrete, with the states x_c[k+1] = v[k]. A measured disturbance passes directly through
+the law. The effect of the measured disturbance through the law is therefore part of Bw and Dw of the larger plant.
 
-A design handles only constant weights. A weight that depends on frequency is therefore a filter, whose states are added to the
-plant. A filter in series with an output weights this output. A filter in series with a disturbance shapes its spectrum. A
-filter in series with an input models the actuator. A filter is a `Plant` without inputs, from w to z.
+A design can handle only constant weights. A weight that depends on frequency is therefore represented by a filter, whose states
+are added to the plant. A filter in series with an output weights the output. A filter in series with a disturbance shapes the
+spectrum of the disturbance. A filter in series with an input models the actuator. A filter is a `Plant` from w to z without
+control inputs.
 
 - `transfer_function`: system from a ratio of polynomials in s
-- `series`, `append`: systems in series, or in parallel with separate signals
-- `with_weights`: plant with one filter before w and another after z
+- `series`, `append`: systems connected in series, or in parallel with separate signals
+- `with_weights`: plant with one filter in series before w and a second filter in series after z
 
 Source: Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 3.6.
 """
@@ -30,9 +31,9 @@ from synth.plant.state_space import StateSpace
 
 
 def closed_by(plant: Plant, law: LinearLaw) -> Plant:
-    """Returns the closed loop with a law on y, from w to z and without an input.
+    """Returns the closed loop of the plant and a law on y, from w to z and without an input.
 
-    The result is the same as that of `Plant.closed`, but is computed in a fifth of the time.
+    The result is the same as that of `Plant.closed`, but takes only a fifth of the time.
 
     Raises:
         InputError: the algebraic loop through the measurements has no solution.
@@ -57,14 +58,14 @@ def gain(D: object) -> StateSpace:
 
 
 def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) -> StateSpace:
-    """Returns a filter for one signal from the numerator and denominator polynomials in s.
+    """Returns a filter for one signal, given the numerator and denominator polynomials in s.
 
     Args:
-        numerator: coefficients, highest power of s first.
-        denominator: coefficients, highest power of s first; its degree is at least that of the numerator.
+        numerator: coefficients of the numerator, highest power of s first.
+        denominator: coefficients, highest power of s first; the degree is at least that of the numerator.
 
     Raises:
-        InputError: a coefficient is not a number, the denominator is zero, or its degree is too low.
+        InputError: a coefficient is not a number, the denominator is zero, or the degree of the denominator is too low.
     """
     above, below = (
         np.trim_zeros(real_matrix([list(part)], "a polynomial", "(1, k)")[0], "f") for part in (numerator, denominator)
@@ -85,7 +86,7 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
 
 
 def series(first: StateSpace, second: StateSpace) -> StateSpace:
-    """Returns two systems in series: the outputs of the first system are the inputs of the second system.
+    """Returns the series connection of two systems: the outputs of the first system are the inputs of the second system.
 
     Raises:
         InputError: the number of outputs of the first system differs from the number of inputs of the second system.
@@ -104,21 +105,21 @@ def series(first: StateSpace, second: StateSpace) -> StateSpace:
 
 
 def append(*systems: StateSpace) -> StateSpace:
-    """Returns systems in parallel with separate inputs and outputs, in the given order."""
+    """Returns the parallel connection of systems with separate inputs and outputs, in the order of the arguments."""
     A, B, C, D = (_diagonal([getattr(one, name) for one in systems]) for name in "ABCD")
     return StateSpace(A, B, C, D)
 
 
 def with_weights(plant: Plant, outputs: StateSpace, disturbances: StateSpace, beside: Array | None = None) -> Plant:
-    """Returns the plant with one system after z and another system before w.
+    """Returns the plant in series with two systems: one system after z, and a second system before w.
 
     The states of the plant come first, followed by the states of the system after z, and by the states of the system before w.
-    The result keeps the measurements of the plant, which contain the filtered w.
+    The result keeps the measurements of the plant; these measurements contain the filtered w.
 
     Args:
         plant: plant with n states, r disturbances and d outputs.
-        outputs: system with d inputs, after z.
-        disturbances: system with r outputs, before w.
+        outputs: system with d inputs that is connected to z.
+        disturbances: system with r outputs that is connected to w.
         beside: additional gain from the j states of `disturbances` to the input of `outputs`, shape (d, j); None for zero.
     """
     z, w = outputs, disturbances
@@ -147,7 +148,7 @@ def with_weights(plant: Plant, outputs: StateSpace, disturbances: StateSpace, be
 def _diagonal(parts: Sequence[Array]) -> Array:
     """Returns a block-diagonal matrix.
 
-    A block without rows still adds columns, and a block without columns still adds rows.
+    A block that has no rows still adds columns, and a block that has no columns still adds rows.
     """
     whole = np.zeros((sum(len(part) for part in parts), sum(part.shape[1] for part in parts)))
     i = j = 0

@@ -1,12 +1,13 @@
 """Discrete plants: the bilinear map to a continuous plant with the same norms, and accurate frequency responses.
 
 Tustin's map s = (2 / dt) (z - 1) / (z + 1) maps the unit circle to the imaginary axis, and the inside of this circle to the
-left half plane. A discrete loop and its continuous image therefore have the same stability and norm. A loop and its image also
-have the same X of the bounded-real LMI (20), up to a factor dt. The measurements of the image contain inputs and disturbances,
-y = C_y x + Dyw w + Dyu u. The gain stays the same, but it closes an algebraic loop around the image.
+left half plane. A discrete loop and the continuous image of this loop therefore have the same stability and norm. A matrix X
+that satisfies the bounded-real LMI (20) for the loop also satisfies (20) for the image, up to a factor dt. The measurements of
+the image contain inputs and disturbances: y = C_y x + Dyw w + Dyu u. The gain stays the same, but the loop of the gain and the
+image contains an algebraic loop.
 
-A pole at z = -1 has no finite image. If the plant has such a pole, a gain K0 that moves the pole is applied first. The plant
-with this gain is then mapped. A gain K of the plant corresponds to the gain K - K0 of the image.
+A pole at z = -1 has no finite image. If the plant has a pole at z = -1, a gain K0 that moves this pole is applied first. The
+plant with the gain K0 is then mapped to its image. A gain K of the plant corresponds to the gain K - K0 of the image.
 
 The frequency response Dw + C (z - A)^-1 Bw of a discrete loop is computed with twice the digits of floats. The frequency is
 given by the float t = tan(omega dt / 2). The point z = (1 + j t) / (1 - j t) is then exactly on the unit circle, without the
@@ -32,12 +33,13 @@ SEED = 20261122
 
 
 def continuous_image(plant: Plant) -> tuple[Plant, Array]:
-    """Returns the continuous image of a discrete plant with its measurements, and K0. A continuous plant is returned unchanged.
+    """Returns the continuous image of a discrete plant, including its measurements, and the gain K0. A continuous plant is
+    returned unchanged.
 
-    A gain K of the discrete plant, shape (m, q), corresponds to the gain K - K0 of its image.
+    A gain K of the discrete plant, shape (m, q), corresponds to the gain K - K0 of the continuous image.
 
     Raises:
-        InputError: the plant has a pole at z = -1, and no gain from the measurements moves it.
+        InputError: the plant has a pole at z = -1, and no gain from the measurements moves this pole.
     """
     m, r, q = plant.B.shape[1], plant.Bw.shape[1], len(plant.Cy)
     if plant.dt is None:
@@ -59,8 +61,8 @@ def continuous_loop(loop: Plant, turned: bool = False) -> Plant:
 
     Args:
         loop: loop in continuous time, or in discrete time without a pole at z = -1.
-        turned: True to replace z by -z first. With this replacement, z = -1 is mapped to 0 instead of infinity. The norm and X
-            do not change.
+        turned: True to replace the variable z by -z before the loop is mapped. With -z instead of z, the point z = -1 is mapped
+            to 0 instead of infinity. The replacement changes neither the norm nor the matrix X of (20).
     """
     if loop.dt is None:
         return loop
@@ -68,9 +70,9 @@ def continuous_loop(loop: Plant, turned: bool = False) -> Plant:
 
 
 def from_differences(loop: Plant, step: float) -> Plant:
-    """Returns the continuous image of a loop in differences (`Plant.differences`) over a step [s].
+    """Returns the continuous image of a loop that is written in differences (`Plant.differences`) over a step [s].
 
-    The loop and its image have the same X of (20). If the step is 0, the loop is returned unchanged.
+    The loop and its image have the same matrix X of (20). If the step is 0, the loop is returned unchanged.
     """
     if not step:
         return loop
@@ -79,30 +81,34 @@ def from_differences(loop: Plant, step: float) -> Plant:
 
 
 def true_frequency(omega: float, dt: float | None) -> float:
-    """Converts a frequency omega [rad/s] of the image, which may be infinite, to the frequency of the discrete plant."""
+    """Converts a frequency omega [rad/s] of the continuous image, which may be infinite, to the frequency of the discrete
+    plant.
+    """
     return omega if dt is None else float(2 / dt * np.arctan(omega * dt / 2))
 
 
 def mapped_frequency(omega: float, dt: float | None) -> float:
-    """Converts a frequency omega [rad/s] of the discrete plant to the frequency of its image; the inverse of `true_frequency`."""
+    """Converts a frequency omega [rad/s] of the discrete plant to the frequency of its continuous image; the inverse of
+    `true_frequency`.
+    """
     if dt is None:
         return omega
     return float(2 / dt * np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf
 
 
 def _tustin(A: Array, B: Array, C: Array, D: Array, step: float) -> tuple[Array, Array, Array, Array]:
-    """Returns the bilinear image of a system in differences over a step [s]."""
+    """Returns the bilinear image of a system that is written in differences over a step [s]."""
     beside = np.linalg.inv(2 * np.eye(len(A)) + step * A)
     inputs = beside @ B
     return 2 * A @ beside, 2 * inputs, 2 * C @ beside, D - step * C @ inputs
 
 
 def _away_from_minus_one(plant: Plant) -> Array:
-    """Returns a gain K0 with which no pole is near z = -1, shape (m, q). K0 is zero if the plant has no such pole.
+    """Returns a gain K0 for which the loop has no pole near z = -1, shape (m, q). K0 is zero if the plant has no such pole.
 
-    K0 does not depend on the units of states, inputs or measurements. There is one exception: if a pole is almost exactly at
-    the limit LEAST_SINGULAR_VALUE, the result depends on the powers of two that balancing chooses. If the plant is given in
-    coordinates that mix the states, K0 may differ.
+    K0 does not depend on the units of states, inputs or measurements. K0 depends on the units in one case only: if a pole is
+    almost exactly at the limit LEAST_SINGULAR_VALUE, the powers of two from balancing matter. If the plant is given in
+    coordinates that mix its states, K0 may also differ.
     """
 
     def lost(K: Array) -> float:
@@ -125,9 +131,11 @@ def _away_from_minus_one(plant: Plant) -> Array:
 
 
 def _reach(plant: Plant) -> Array:
-    """Returns |C_y| |A|^k |B| for the first k at which it is not 0, entry by entry, shape (q, m); 1 if it is 0 for all k.
+    """Returns, entry by entry, |C_y| |A|^k |B| for the smallest k at which the entry is not 0, shape (q, m); 1 if the entry is
+    0 for all k.
 
-    An entry is the size of an input's first effect on a measurement. This size does not depend on the units of the states.
+    An entry of the result is the size of the first effect of an input on a measurement. The size of this effect does not depend
+    on the units of the states.
     """
     spread, reach = np.abs(plant.B), np.zeros((len(plant.Cy), plant.B.shape[1]))
     for _ in range(len(plant.A)):
@@ -141,13 +149,13 @@ def response_closely(system: Plant, t: float) -> tuple[Array, float]:
 
     Args:
         system: system in discrete time, including its low-order digits `beyond`.
-        t: tan(omega dt / 2), from 0 to infinity.
+        t: value of tan(omega dt / 2), from 0 to infinity.
 
     Returns:
         The frequency response T, complex, shape (d, r), and the largest change of an entry in the last iteration.
 
     Raises:
-        LinAlgError: the system has a pole at this point, up to rounding.
+        LinAlgError: the system has a pole at the point of the unit circle, up to rounding.
     """
     n = len(system.A)
     beyond = np.zeros((n + len(system.C), n)) if system.beyond is None else system.beyond

@@ -1,8 +1,8 @@
-"""Sums and products with twice the digits of floats. A number is the sum of a pair (high, low) of floats.
+"""Sums and products of numbers with twice the digits of floats. A number is the sum of a pair (high, low) of floats.
 
 Knuth's sum and Dekker's product are exact, because the rounding error is also a float, which is stored as `low`. Source: Ogita,
-Rump, Oishi 2005, Accurate sum and dot product. Magnitudes must stay between about 1e-140 and 1e300, as the entries of plants
-do.
+Rump, Oishi 2005, Accurate sum and dot product. All numbers must have magnitudes between about 1e-140 and 1e300, like the
+entries of plants.
 """
 
 import numpy as np
@@ -17,21 +17,23 @@ MOST_TURNS = 12
 
 
 def exact_sum(a: Array, b: Array) -> tuple[Array, Array]:
-    """Returns a + b without rounding error, entry by entry, as a pair (high, low)."""
+    """Returns the sum a + b without rounding error, entry by entry, as a pair (high, low)."""
     high = a + b
     part = high - a
     return high, (a - (high - part)) + (b - part)
 
 
 def exact_product(a: Array, b: Array) -> tuple[Array, Array]:
-    """Returns a b without rounding error, entry by entry, as a pair (high, low)."""
+    """Returns the product a b without rounding error, entry by entry, as a pair (high, low)."""
     high = a * b
     (a1, a2), (b1, b2) = _halves(a), _halves(b)
     return high, a2 * b2 - (((high - a1 * b1) - a2 * b1) - a1 * b2)
 
 
 def product(left: Array, right: Array) -> tuple[Array, Array]:
-    """Returns left @ right with twice the digits, as a pair, for stacks of matrices of shapes (..., k, n) and (..., n, c)."""
+    """Returns the product left @ right with twice the digits, as a pair, for stacks of matrices of shapes (..., k, n) and (...,
+    n, c).
+    """
     if not left.shape[-1]:
         whole = left @ right
         return whole, np.zeros_like(whole)
@@ -50,11 +52,11 @@ def _halves(a: Array) -> tuple[Array, Array]:
 
 
 def solve_closely(high: Array, low: Array, right: Array, C: Array, C_low: Array) -> tuple[Array, Array]:
-    """Returns (C + C_low) (x + j y) with twice the digits, where (high + low) [x; y] = right, and an error estimate.
+    """Returns (C + C_low) (x + j y) with twice the digits, where (high + low) [x; y] = right, and an estimate of the error.
 
     The residual of the equations is computed with twice the digits, and the solution is corrected until it converges. Source:
     Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12. The method fails if the equations are so
-    ill-conditioned that a solution in floats has no correct digit.
+    ill-conditioned that no digit of a solution in floats is correct.
 
     Args:
         high, low: matrix of the equations, shape (..., 2 n, 2 n), and its low-order digits.

@@ -30,14 +30,15 @@ class Feedback:
     """Static gain u = K y with y = C_y x, stored as two factors K and C_y.
 
     The factors are stored separately so that proofs do not depend on the rounding of their product. For example, a gain may
-    multiply the difference of two nearly dependent signals by a million. Rounding K C_y would then change the controller.
+    multiply the difference of two nearly dependent signals by a million. Rounding the product K C_y would then change the
+    controller.
 
     Attributes:
         K: gain, shape (m, q).
         Cy: matrix of the measurements, shape (q, n).
 
     Raises:
-        InputError: a matrix contains entries that are not real finite numbers, or the shapes do not fit.
+        InputError: a matrix contains entries that are not real finite numbers, or the shapes do not fit together.
     """
 
     K: Array
@@ -55,8 +56,8 @@ class Plant:
     """Linear plant with control inputs u, disturbances w, controlled outputs z and, if given, measurements y.
 
     In continuous time, x' = A x + B u + Bw w, z = C x + D u + Dw w, y = Cy x + Dyu u + Dyw w. A plant with a sample period `dt`
-    is discrete: x[k+1] replaces x'. Methods that return another plant keep the measurements unless their description states
-    otherwise.
+    is discrete: in its equations, x[k+1] replaces x'. Methods that return another plant keep the measurements unless their
+    description states otherwise.
 
     Attributes:
         A: state matrix, shape (n, n).
@@ -67,8 +68,8 @@ class Plant:
         Dw: feedthrough from the disturbances to the outputs, shape (d, r); zero in the paper.
         beyond: rounding errors of [A; C] of a closed loop (true value minus float), shape (n + d, n); None if A and C are
             exact.
-        weights: number of states that belong to weighting filters; they are the last states. Controllers cannot move the poles
-            of these filters, and the speed of the plant does not include them.
+        weights: number of states that belong to weighting filters; they are the last states of the plant. Controllers cannot
+            move the poles of these filters, so these poles are ignored in the speed of the plant.
         dt: sample period of a discrete plant [s]; None for a continuous plant.
         Cy: matrix from the states to the q measurements, shape (q, n). Default: no measurements.
         Dyu: feedthrough from the inputs to the measurements, shape (q, m). Default: zero.
@@ -76,7 +77,7 @@ class Plant:
 
     Raises:
         InputError: a matrix has the wrong shape, too many rows or columns, or entries that are not real finite numbers between
-            `SMALLEST` and `LARGEST`. The error is also raised for an invalid `dt` or `weights`.
+            `SMALLEST` and `LARGEST`. The error is also raised if `dt` or `weights` is invalid.
     """
 
     public_name = "a GeneralizedPlant"
@@ -142,9 +143,9 @@ class Plant:
         return cls(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw, dt=dt)
 
     def unchecked(self, **parts: Any) -> "Plant":
-        """Returns the plant with some attributes replaced.
+        """Returns a copy of the plant in which some attributes have new values.
 
-        The new values must fit the other attributes; they are neither checked nor copied.
+        The new values must fit the other attributes of the plant; the values are neither checked nor copied.
         """
         plant = object.__new__(Plant)
         plant.__dict__.update({each.name: getattr(self, each.name) for each in fields(self)} | parts)
@@ -154,12 +155,12 @@ class Plant:
         """Returns the plant with the measurements y = Cy x + Dyu u + Dyw w after a check.
 
         Args:
-            Cy: matrix with a row for each measured signal, shape (q, n). By default, these are the measurements of the plant.
+            Cy: matrix with a row for each measured signal, shape (q, n). By default, the measurements of the plant are kept.
             Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
             Dyu: feedthrough from the inputs to the measurements, shape (q, m). Default: zero.
 
         Returns:
-            The plant with these measurements, as a `GeneralizedPlant`.
+            The plant with the measurements y, as a `GeneralizedPlant`.
 
         Raises:
             InputError: the plant has no state, or no signal is measured. The error is also raised if a matrix has the wrong
@@ -190,7 +191,7 @@ class Plant:
         """Returns (I - K Dyu)^-1 K, the gain on C_y x + Dyw w with the same effect as K on the measurements, shape (m, q).
 
         Raises:
-            InputError: the algebraic loop has no solution.
+            InputError: the algebraic loop through the measurements has no solution.
         """
         return static_law(K).fed_back(self.Dyu).D
 
@@ -205,7 +206,7 @@ class Plant:
     def without_weighting(self) -> "Plant":
         """Plant without its weighting filters, whose states are the last states of the plant.
 
-        A gain affects only the stability of this part.
+        A gain affects only the stability of this part, not the stability of the filters.
         """
         if not self.weights:
             return self
@@ -225,25 +226,25 @@ class Plant:
 
     @property
     def plant(self) -> "Plant":
-        """Plant without measurements. Deprecated attribute, which remains from `MeasuredPlant`; use the plant itself."""
+        """Plant without measurements. Deprecated attribute that remains from the class `MeasuredPlant`; use the plant itself."""
         warnings.warn("`plant` will be removed in the next version; use the plant itself", DeprecationWarning, stacklevel=2)
         return self.unmeasured
 
     @property
     def through(self) -> Array:
-        """Feedthrough Dyu. Deprecated attribute, which remains from `MeasuredPlant`; use `Dyu`."""
+        """Feedthrough Dyu. Deprecated attribute that remains from the class `MeasuredPlant`; use `Dyu`."""
         warnings.warn("`through` will be removed in the next version; use Dyu", DeprecationWarning, stacklevel=2)
         return self.Dyu
 
     def rows(self, kept: Sequence[int] | Array) -> "Plant":
-        """Returns the plant with only some of its measurements, given by indices or by a mask."""
+        """Returns the plant with only some of its measurements, which are given by indices or by a mask."""
         return replace(self, Cy=self.Cy[kept], Dyu=self.Dyu[kept], Dyw=self.Dyw[kept])
 
     def with_disturbances(self, Dyw: Array) -> "Plant":
         """Returns the plant with k further disturbances that act on the measurements only.
 
         Args:
-            Dyw: feedthrough from these disturbances to the measurements, shape (q, k).
+            Dyw: feedthrough from the further disturbances to the measurements, shape (q, k).
         """
         Bw, Dw = (np.hstack([matrix, np.zeros((len(matrix), Dyw.shape[1]))]) for matrix in (self.Bw, self.Dw))
         return replace(self, Bw=Bw, Dw=Dw, Dyw=np.hstack([self.Dyw, Dyw]))
@@ -251,7 +252,7 @@ class Plant:
     def with_states(self, k: int) -> "Plant":
         """Returns the plant with k more states, inputs and measurements, for the states of a control law.
 
-        The additional states satisfy x_c' = v, or x_c[k+1] = v[k] if the plant is discrete. A law u = C x_c + D y,
+        The additional states satisfy x_c' = v, or x_c[k+1] = v[k] for a discrete plant. A law u = C x_c + D y,
         v = A x_c + B y is then the static gain [D, C; B, A] of the larger plant.
         """
         if not k:
@@ -271,9 +272,9 @@ class Plant:
         )
 
     def with_law(self, law: LinearLaw) -> "tuple[Plant, Feedback]":
-        """Returns the plant with the states of a law on y, and the law as a static gain on the states of this plant.
+        """Returns the plant with the states of a law on y, and the law as a static gain on the states of this larger plant.
 
-        If y contains w, then w also acts on the larger plant through the law.
+        If y contains w, the larger plant also contains the effect of w through the law.
 
         Raises:
             InputError: the algebraic loop through the measurements has no solution.
@@ -285,7 +286,7 @@ class Plant:
         return larger.unmeasured, Feedback(law_gain(law), larger.Cy)
 
     def closed(self, law: LinearLaw) -> "Plant":
-        """Returns the closed loop with a law on y; see `with_law` and `closed_loop`."""
+        """Returns the closed loop of the plant and a law on y; see `with_law` and `closed_loop`."""
         larger, gain = self.with_law(law)
         return larger.closed_loop(gain)
 
@@ -293,7 +294,7 @@ class Plant:
     def transposed(self) -> "Plant":
         """Transposed plant, with w and z exchanged.
 
-        State feedback for the transposed plant is output injection of y = C_y x + Dyw w for this plant.
+        State feedback for the transposed plant is output injection of y = C_y x + Dyw w for the original plant.
         """
         return Plant(self.A.T, self.Cy.T, self.C.T, self.Bw.T, self.Dyw.T, self.Dw.T, dt=self.dt)
 
@@ -304,12 +305,12 @@ class Plant:
 
     @cached_property
     def differences(self) -> "Plant":
-        """Plant in differences, in which (x[k+1] - x[k]) / dt replaces x'.
+        """Plant in difference form, in which (x[k+1] - x[k]) / dt replaces x'.
 
-        As dt decreases, the entries of this plant approach those of the continuous plant.
+        As dt decreases, the entries of the plant in differences approach those of the continuous plant.
 
-        The result has the form of a continuous plant, but its poles and norms differ from those of the discrete plant. A
-        continuous plant is returned unchanged.
+        The plant in differences has the form of a continuous plant, but its poles and norms differ from those of the discrete
+        plant. A continuous plant is returned unchanged.
         """
         if self.dt is None:
             return self
@@ -317,10 +318,10 @@ class Plant:
         return replace(self, A=A, B=self.B / self.dt, Bw=self.Bw / self.dt, beyond=None, dt=None)
 
     def closed_loop(self, G: Array | Feedback) -> "Plant":
-        """Returns the plant with the feedback u = G x + (new u), equations (16) and (17).
+        """Returns the plant with the feedback u = G x + (new u), as in equations (16) and (17).
 
         A + B G and C + D G are rounded once, and `beyond` contains the rounding errors. For a very large gain, or a gain that
-        cancels most of A, these errors may determine the norm.
+        cancels most of A, the rounding errors may determine the norm.
 
         Args:
             G: state gain, shape (m, n), or a gain from measurements.
@@ -342,17 +343,17 @@ class Plant:
         return replace(self, A=high[:n], C=high[n:], Cy=Cy, beyond=beyond, weights=0)
 
     def in_coordinates(self, T: Array) -> "Plant":
-        """Returns the same plant with the new state T^-1 x, for an invertible matrix T of shape (n, n)."""
+        """Returns the plant in terms of the new state T^-1 x, for an invertible matrix T of shape (n, n)."""
         inverse = np.linalg.inv(T)
         A, B, Bw = inverse @ self.A @ T, inverse @ self.B, inverse @ self.Bw
         return replace(self, A=A, B=B, Bw=Bw, C=self.C @ T, Cy=self.Cy @ T, beyond=None, weights=0)
 
     def with_inputs(self, W: Array) -> "Plant":
-        """Returns the plant with the inputs v, where u = W v and W has shape (m, k)."""
+        """Returns the plant with new inputs v, where u = W v and W has shape (m, k)."""
         return replace(self, B=self.B @ W, D=self.D @ W, Dyu=self.Dyu @ W, beyond=None, weights=0)
 
     def independent_inputs(self) -> Array:
-        """Returns an orthonormal basis W, shape (m, k), of the input combinations that have an effect; I if k = m."""
+        """Returns an orthonormal basis W, shape (m, k), of the input combinations that affect the plant; I if k = m."""
         m = self.B.shape[1]
         sizes = [float(np.linalg.norm(part, 2)) or 1.0 for part in (self.B, self.D)]
         together = np.vstack([self.B / sizes[0], self.D / sizes[1]])
@@ -383,23 +384,25 @@ GeneralizedPlant = Plant  # name for the public interface
 
 
 def law_gain(law: LinearLaw) -> Array:
-    """Returns [D, C; B, A] of a law, shape (m + k, q + k): its static gain on the plant of `Plant.with_states`."""
+    """Returns the matrix [D, C; B, A] of a law, shape (m + k, q + k), which is its static gain on the plant of
+    `Plant.with_states`.
+    """
     return np.block([[law.D, law.C], [law.B, law.A]]) if law.states else law.D
 
 
 def gain_law(gain: Array, m: int, q: int, dt: float | None = None) -> LinearLaw:
-    """Returns the law from its static gain [D, C; B, A]. This function is the inverse of `law_gain`."""
+    """Returns the law that has the static gain [D, C; B, A]. The function is the inverse of `law_gain`."""
     return LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q], sample_period=dt)
 
 
 def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array | None = None) -> tuple[Array, Array]:
-    """Returns the matrix [A; C] + [B; D] G, rounded once, and its rounding error.
+    """Returns the matrix [A; C] + [B; D] G, rounded once, and the rounding error of this matrix.
 
     Args:
         open_loop: matrices [A; C], shape (n + d, n).
         inputs: matrices [B; D], shape (n + d, m).
         G: state gain, shape (m, n), or a gain from measurements.
-        beyond: true A and C minus their floats, shape (n + d, n); None if A and C are exact.
+        beyond: exact values of A and C minus their floats, shape (n + d, n); None if A and C are exact.
     """
     gain, rest = product(G.K, G.Cy) if isinstance(G, Feedback) else (G, np.zeros_like(G))
     moved, low = product(inputs, gain)
@@ -427,11 +430,11 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
 
     Args:
         value: array or nested lists.
-        name: name of the matrix, for error messages.
-        expected: description of the required shape, for error messages.
+        name: name of the matrix, which is used in error messages.
+        expected: description of the required shape, which is used in error messages.
 
     Raises:
-        InputError: the matrix fails the check.
+        InputError: the matrix does not pass these checks.
     """
     return arrays.real_matrix(value, name, LARGEST, expected)[0]
 
@@ -439,7 +442,7 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
 def check_states(n: int) -> None:
     """Raises an InputError if a plant has no state.
 
-    This check is only for plants that the user gives, because a part of a plant may have no states.
+    Only plants that the user supplies are checked, because a part of a plant may have no states.
     """
     if not n:
         raise InputError("A has shape (0, 0), a plant without states; give at least one")
@@ -462,7 +465,7 @@ def check_posed(plant: Plant) -> None:
     """Checks that a plant has a disturbance and a controlled output.
 
     Raises:
-        InputError: Bw, Dw and Dyw are all zero, or C and D are both zero.
+        InputError: Bw, Dw and Dyw are all zero, or both C and D are zero.
     """
     if not (np.any(plant.Bw) or np.any(plant.Dw) or np.any(plant.Dyw)):
         zero = "Bw, Dw and Dyw" if len(plant.Dyw) else "Bw and Dw"
@@ -472,7 +475,9 @@ def check_posed(plant: Plant) -> None:
 
 
 def on_all_rows(gain: Array, kept: Sequence[int] | Array, q: int) -> Array:
-    """Returns a gain on some of q measurements as a gain, shape (m, q), on all of them; the additional entries are zero."""
+    """Converts a gain on some of the q measurements to a gain on all q measurements, shape (m, q); the additional entries are
+    zero.
+    """
     whole = np.zeros((len(gain), q))
     whole[:, kept] = gain
     return whole

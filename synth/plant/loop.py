@@ -2,19 +2,19 @@
 
     x' = A x + B u + E d,    y = C x + D u + F d.
 
-The law computes the forces u from some of the outputs y. The other inputs d of the plant include the road, loads, measurement
-noise and forces from a road preview. In continuous time, the law acts without delay.
+The law computes the forces u from some of the plant's outputs y. The other inputs d of the plant include the road, loads,
+measurement noise and forces from a road preview. In continuous time, the law acts without delay.
 
-In discrete time, the law samples y every T seconds, just before its new force starts to act. A measurement therefore contains
-the force that acted before the sample. In each part of the sample period, the force that acts was computed some samples ago.
-The state at a sample is
+In discrete time, the law samples y every T seconds, just before the new force starts to act. A measurement therefore contains
+the force that acted before the sample was taken. In each part of the sample period, the acting force is a force that was
+computed some samples ago. The state at a sample is
 
     [x; states of the law; u[k-1]; ...; u[k-p]],
 
-where u[k-1], ..., u[k-p] are the previous forces that still act or that a measurement contains.
+where u[k-1], ..., u[k-p] are those previous forces that still act or that a measurement contains.
 
-In the frequency domain, a force that was computed j samples ago is exp(-j s T) times the new force (s: Laplace variable). A
-delayed force thus needs no additional state.
+In the frequency domain, a force that was computed j samples ago is the new force times exp(-j s T), where s is the Laplace
+variable. A delayed force thus needs no additional state of the loop.
 """
 
 import math
@@ -37,7 +37,7 @@ LAW_STATE, REQUESTED = "law_state_", ".requested"
 @accept_former_names(late="delay_samples")
 @dataclass(frozen=True, eq=False)
 class HoldInterval(CheckedFields):
-    """Part of the sample period in which one force is held constant.
+    """Part of the sample period during which one force is held constant.
 
     Attributes:
         duration: duration of the interval [s].
@@ -49,7 +49,9 @@ class HoldInterval(CheckedFields):
 
 
 def hold_intervals(period: float, delay: float) -> tuple[HoldInterval, ...]:
-    """Returns the parts of a sample period [s] for a delay [samples]: one part, or two if the delay has a fractional part."""
+    """Returns the parts of a sample period [s] for a delay [samples]: two parts if the delay has a fractional part, otherwise
+    one.
+    """
     late = math.floor(delay)
     share = delay - late
     pieces = ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
@@ -62,13 +64,14 @@ class Loop:
 
     Attributes:
         plant: plant with n states, either in continuous time, or in discrete time with held inputs.
-        law: law from the measured outputs to the forces, as designed; `acting_law` is the law as it runs.
+        law: designed law from the measured outputs to the forces; `acting_law` is the law as it runs.
         measured: names of the measured outputs.
         forces: names of the m inputs that the law computes.
-        hold: parts of the sample period in chronological order, each with the delay of its force; empty in continuous time.
-        step: time over which disturbances are held [s]; the parts of the period are multiples of this time.
-        exponential: function that computes the matrix exponential of a step. With `taylor4`, the loop predicts the steps of an
-            RK4 integrator.
+        hold: parts of the sample period in chronological order, each with the delay of the acting force; empty in continuous
+            time.
+        step: time during which disturbances are held constant [s]; the parts of the period are multiples of this time.
+        exponential: function that computes the matrix exponential over a step. With `taylor4`, the loop predicts the steps of
+            an RK4 integrator.
     """
 
     plant: StateSpace
@@ -81,10 +84,10 @@ class Loop:
 
     @cached_property
     def acting_law(self) -> LinearLaw:
-        """Law as it runs in this loop: discrete with the sample period of the loop, or in continuous time.
+        """Law as it runs in the loop: discrete with the sample period of the loop, or in continuous time.
 
         Raises:
-            InputError: the law cannot be converted; see `LinearLaw`.
+            InputError: the law cannot be converted to the sample period of the loop, or to continuous time; see `LinearLaw`.
         """
         if not self.law.states:
             return self.law
@@ -92,46 +95,48 @@ class Loop:
 
     @cached_property
     def disturbances(self) -> tuple[str, ...]:
-        """Names of the inputs of the plant that are not forces of the law."""
+        """Names of those inputs of the plant that are not forces of the law."""
         return tuple(name for name in self.plant.inputs if name not in self.forces)
 
     @cached_property
     def law_states(self) -> tuple[str, ...]:
-        """Names of the outputs that are states of the law."""
+        """Names of those outputs that are states of the law."""
         return tuple(f"{LAW_STATE}{i}" for i in range(1, self.law.states + 1))
 
     @cached_property
     def requested_forces(self) -> tuple[str, ...]:
-        """Names of the outputs that are the forces computed by the law, without external forces."""
+        """Names of those outputs that are the forces computed by the law, without external forces."""
         return tuple(f"{name}{REQUESTED}" for name in self.forces)
 
     @property
     def direct(self) -> Array:
-        """Gain without delay from acting forces to requested forces, through measurements that contain forces, shape (m, m)."""
+        """Direct gain (without delay) from acting forces to requested forces, through measurements that contain forces, shape
+        (m, m).
+        """
         return self.acting_law.D @ self.plant.part(self.measured, self.forces).D
 
     @property
     def direct_radius(self) -> float:
-        """Spectral radius of `direct`.
+        """Spectral radius of the matrix `direct`.
 
-        If the radius is 1 or more, a force that is sampled or delayed grows through its own measurement.
+        If the radius is 1 or more, a sampled or delayed force grows, because the measurements contain this force.
         """
         return spectral_radius(self.direct)
 
     @property
     def period(self) -> float:
-        """Sample period [s]; 0 in continuous time."""
+        """Sample period [s]; 0 for a loop in continuous time."""
         return sum(part.duration for part in self.hold)
 
     @cached_property
     def by_step(self) -> tuple[int, ...]:
-        """Delay of the force that acts in each step of the sample period [samples]."""
+        """Delay of the force that acts in each step of the sample period, as a number of samples."""
         assert self.step is not None, "the disturbances are held over steps"
         return tuple(part.delay_samples for part in self.hold for _ in range(round(part.duration / self.step)))
 
     @cached_property
     def stored_forces(self) -> int:
-        """Number p of previous samples whose forces are states of the loop."""
+        """Number p of those previous samples whose forces are states of the loop."""
         if not self.hold:
             return 0
         measured = self.plant.D[self.plant.rows(self.measured)][:, self.plant.columns(self.forces)].any()
@@ -139,13 +144,13 @@ class Loop:
 
     @cached_property
     def _forced_plant(self) -> StateSpace:
-        """Plant with the forces as its first inputs."""
+        """Plant whose first inputs are the forces."""
         inputs = (*self.forces, *self.disturbances)
         return self.plant if inputs == self.plant.inputs else self.plant.part(self.plant.outputs, inputs)
 
     @cached_property
     def _held_plant(self) -> StateSpace:
-        """Plant with the forces as its first inputs, discretised over a step if disturbances are held over steps."""
+        """Plant with the forces as its first inputs, discretised with the step if disturbances are constant during each step."""
         plant = self._forced_plant
         if self.step is None or plant.dt is not None:
             return plant
@@ -153,16 +158,19 @@ class Loop:
         return replace(plant, A=Phi, B=Gamma, dt=self.step)
 
     def hold_matrices(self, duration: float) -> tuple[Array, Array]:
-        """Returns Phi and Gamma of the plant for inputs that are held for a duration [s]. The forces are the first inputs."""
+        """Returns Phi and Gamma of the plant for inputs that are held constant for a duration [s]. The forces are the first
+        inputs, so their columns of Gamma come first.
+        """
         return self._held_plant.hold_matrices(duration, self.exponential)
 
     @cached_property
     def open_loop(self) -> StateSpace:
-        """Open loop, cut at all forces.
+        """Open loop, which is cut open at all forces.
 
         The inputs of the open loop are the forces and the disturbances. The outputs are the outputs of the plant, the states of
-        the law, and the forces that the law requests. In discrete time, the force inputs are the forces computed at a sample.
-        Disturbances are then held over the sample period, and the outputs have their values just after the sample.
+        the law, and the forces that the law requests. In discrete time, the force inputs are the forces that are computed at a
+        sample. Disturbances are then constant during the sample period, and the outputs have their values just after the
+        sample.
         """
         plant = self._forced_plant
         law, measured, m, p = self.acting_law, plant.rows(self.measured), len(self.forces), self.stored_forces
@@ -192,15 +200,16 @@ class Loop:
 
     @cached_property
     def closed_loop(self) -> StateSpace:
-        """Closed loop, in which the requested forces are added to the force inputs; these inputs are then external forces.
+        """Closed loop, in which the requested forces are added to the force inputs, so that the force inputs are external
+        forces.
 
         Raises:
-            InputError: the algebraic loop through measurements that contain forces has no solution in continuous time.
+            InputError: the algebraic loop through measurements that contain forces has no solution (only in continuous time).
         """
         return self.open_loop.closed(self.requested_forces, self.forces)
 
     def cut(self, forces: Sequence[str]) -> StateSpace:
-        """Returns the loop from acting to requested forces, cut at some forces and closed at all other forces."""
+        """Returns the loop from acting to requested forces, which is cut open at some forces and closed at all other forces."""
         others = [name for name in self.forces if name not in forces]
         system = self.open_loop.closed([f"{name}{REQUESTED}" for name in others], others)
         return system.part([f"{name}{REQUESTED}" for name in forces], forces)
@@ -210,13 +219,14 @@ class Loop:
 def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], start: Array | None = None) -> Array:
     """Returns outputs of a sampled-data loop at every step, shape (..., T, p).
 
-    One recursion computes the states at the samples. The steps between samples are then computed for all samples together.
+    One recursion computes the states of the loop at all samples. The outputs at the steps between samples are then computed for
+    all samples together.
 
     Args:
-        loop: sampled-data loop with a step.
-        outputs: names of p outputs. For states and requested forces of the law, the values are those at the last sample.
-        inputs: inputs by name, each of shape (..., T). Disturbances are held over each step. Values for a force are added to
-            the requested force at the samples.
+        loop: sampled-data loop for which `step` is given.
+        outputs: names of p outputs. States and requested forces of the law keep the values of the last sample.
+        inputs: input signals by name, each of shape (..., T). Disturbances are constant during each step. Inputs with the name
+            of a force are added to the requested force at the samples.
         start: initial states of the plant, shape (n,). Default: zero.
     """
     system, lates, names = loop.closed_loop, loop.by_step, list(inputs)
@@ -262,21 +272,21 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
 
 
 def _disturbances(loop: Loop, drive: Mapping[str, Array]) -> tuple[list[int], Array]:
-    """Returns the columns of the given disturbances in `Loop.open_loop`, and the amplitudes of these disturbances, shape (F, d,
-    c).
+    """Returns the columns of the disturbances in `drive` in `Loop.open_loop`, and the amplitudes of these disturbances, shape
+    (F, d, c).
     """
     names = [name for name in drive if name not in loop.forces]
     return loop.open_loop.columns(names), np.stack([drive[name] for name in names], axis=1)
 
 
 def _harmonic(loop: Loop, drive: Mapping[str, Array], omega: Array) -> tuple[Array, Array, Array]:
-    """Returns the response of a sampled-data loop to sinusoidal inputs, at the samples.
+    """Returns the response of a sampled-data loop to sinusoidal inputs, evaluated at the samples.
 
     A delay of j samples corresponds to the factor z^-j. The states s = [x; states of the law] and the forces therefore satisfy
 
         z s = A s + G u + E d,    u = C s + H u + F d.
 
-    The arguments are those of `frequency_response`.
+    The arguments are the same as those of `frequency_response`.
 
     Returns:
         The values of z, shape (F, 1, 1); the states s, shape (F, n + k, c); and the computed forces, shape (F, m, c).
@@ -312,11 +322,11 @@ def _turn(loop: Loop, omega: Array) -> Array:
 def _by_step(
     loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array
 ) -> tuple[StateSpace, list[Array], list[Array], Array]:
-    """Returns the harmonic response in every step of the sample period, relative to exp(j omega t).
+    """Returns the response to sinusoidal inputs in every step of the sample period, relative to exp(j omega t).
 
     Returns:
-        The plant from forces and given disturbances to the outputs. The states of this plant and the acting forces in each
-        step. The amplitudes of the disturbances.
+        The plant as a system from the forces and the disturbances in `drive` to the outputs. The states of this plant and the
+        acting forces, both in each step. The amplitudes of the sinusoidal disturbances.
     """
     plant = loop.plant.part(outputs, (*loop.forces, *(name for name in drive if name not in loop.forces)))
     (z, states, forces), (columns, d) = _harmonic(loop, drive, omega), _disturbances(loop, drive)
@@ -330,25 +340,25 @@ def _by_step(
 
 
 def harmonic_states(loop: Loop, drive: Mapping[str, Array], omega: Array) -> Array:
-    """Returns the states of `Loop.closed_loop` at the samples for sinusoidal inputs, shape (F, N, c).
+    """Returns the states of `Loop.closed_loop` at the samples in response to sinusoidal inputs, shape (F, N, c).
 
-    The arguments are those of `frequency_response`.
+    The arguments are the same as those of `frequency_response`.
     """
     z, states, forces = _harmonic(loop, drive, omega)
     return np.concatenate([states, *(forces / z ** (j + 1) for j in range(loop.stored_forces))], axis=1)
 
 
 def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> Array:
-    """Returns the complex amplitudes of outputs of the plant for sinusoidal inputs, shape (F, p, c).
+    """Returns the complex amplitudes of outputs of the plant in response to sinusoidal inputs, shape (F, p, c).
 
-    If the sample period has several steps, held forces cause additional frequencies. The result then contains only the part at
-    the frequency of the input.
+    If the sample period has several steps, held forces cause components at additional frequencies. The result then contains
+    only the component at the frequency of the input.
 
     Args:
         loop: loop in continuous time, or sampled-data loop.
         outputs: names of p outputs of the plant.
-        drive: complex amplitudes by name, each of shape (F, c). Disturbances are given at the start of a step. Values for a
-            force are added to the requested force.
+        drive: complex amplitudes of the sinusoidal inputs, by name, each of shape (F, c). The amplitudes of disturbances refer
+            to the start of a step. Amplitudes with the name of a force are added to the requested force.
         omega: angular frequencies [rad/s], shape (F,).
     """
     if not loop.stored_forces and (not loop.hold or len(loop.by_step) == 1):
@@ -360,10 +370,10 @@ def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, A
 
 
 def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> tuple[Array, Array]:
-    """Returns outputs of a sampled-data loop in every step of its sample period, for the inputs exp(j omega t).
+    """Returns outputs of a sampled-data loop in every step of the sample period, for the inputs exp(j omega t).
 
-    The sample period starts at t = 0. Between samples, held forces cause additional frequencies, whereas `frequency_response`
-    contains only the part at omega. The arguments are those of `frequency_response`.
+    The sample period starts at t = 0. Between samples, held forces cause components at additional frequencies, whereas
+    `frequency_response` contains only the component at omega. The arguments are the same as those of `frequency_response`.
 
     Returns:
         The outputs, complex, shape (P + 1, F, p, c), where the last entry is the start of the next period. The jumps of the
@@ -381,6 +391,6 @@ def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Ar
 
 
 def _delay_forces(forces: Array, samples: int) -> Array:
-    """Returns forces of shape (..., K, m) that are delayed by a number of samples, starting with zeros."""
+    """Returns forces, shape (..., K, m), that are delayed by a number of samples; the first forces are zero."""
     count = forces.shape[-2]
     return np.concatenate([np.zeros_like(forces[..., :samples, :]), forces[..., : max(count - samples, 0), :]], axis=-2)

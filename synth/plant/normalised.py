@@ -1,6 +1,7 @@
-"""Normalisation of a plant and its measurements so that numbers are near 1, and conversion of a law to the given units.
+"""Normalisation of a plant and its measurements so that numbers are near 1, and conversion of a law to the units of the given
+plant.
 
-If the units of a plant change by powers of two, the normalised plant stays the same bit for bit. A design
+If the units of a plant change by powers of two, no bit of the normalised plant changes. A design
 therefore does not depend on the units. A design depends only on the span of the measurements. The measurements are therefore
 replaced by an orthonormal basis, and dependent measurements are omitted.
 """
@@ -23,13 +24,13 @@ class NormalisedPlant:
     """Plant and its measurements in units that make the entries of the matrices near 1.
 
     Attributes:
-        plant: normalised plant with n states and m independent inputs. Time, w and z are also normalised. The matrix [Cy Dyw]
-            has k orthonormal rows.
-        norm: factor that converts a norm from the given units to normalised units.
+        plant: normalised plant with n states and m independent inputs. The units of time, w and z are also normalised. The
+            matrix [Cy Dyw] of the normalised plant has k orthonormal rows.
+        norm: factor that converts a norm of the given plant to normalised units.
         independent_rows: indices of the given measurements that do not depend linearly on earlier measurements.
         q: number of measurements of the given plant.
-        units: units of states and inputs.
-        rate: rate that is 1 in normalised units of time [rad/s].
+        units: normalising units of states and inputs.
+        rate: rate [rad/s] that has the value 1 in normalised units of time.
         inputs: matrix W with u = W v, shape (m', m), where u are the m' given inputs in normalised units, and v the m
             independent inputs.
         rows: matrix S, shape (k, k). The given independent measurements are S times the measurements of the normalised plant.
@@ -49,7 +50,7 @@ class NormalisedPlant:
         """Normalises a plant that has a disturbance, a controlled output and a measurement.
 
         Raises:
-            InputError: the plant is discrete.
+            InputError: the plant is discrete, not continuous.
         """
         check_continuous(plant)
         units = own_units(plant, measured=True)
@@ -83,7 +84,7 @@ class NormalisedPlant:
         return from_y
 
     def back(self, law: LinearLaw) -> LinearLaw:
-        """Returns a law for the given plant on all q measurements. The states of the law stay in normalised units."""
+        """Returns a law that uses all q measurements of the given plant. The states of the law stay in normalised units."""
         from_y = self.from_given
         inputs = self.units.inputs[:, None] * self.inputs
         return LinearLaw(self.rate * law.A, self.rate * law.B @ from_y, inputs @ law.C, inputs @ law.D @ from_y)

@@ -1,4 +1,4 @@
-"""Common settings of all computations: one BLAS thread, and an error with a message if a computation fails."""
+"""Common settings of all computations: only one BLAS thread, and an error with a message if a computation fails."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,24 +10,26 @@ from models.common.threads import one_thread
 
 
 class DesignError(InputError):
-    """Failure of a design. The message describes the problem, its usual cause and what to do."""
+    """Failure of a design. The error message describes the problem, its usual cause and what the user can do."""
 
     exit_code = 1  # the exit code is 1, because the failure is not an error in the input
 
 
 class InfeasibleError(DesignError):
-    """Error that is raised if, provably, no controller of the requested type stabilises the plant.
+    """Error that is raised if it is proved that no controller of the requested type stabilises the plant.
 
-    The message names the mode that cannot be stabilised, or gives another reason.
+    The error message names the mode that cannot be stabilised, or gives a different reason.
     """
 
 
 class NoSolutionError(DesignError):
-    """Failure because an LMI problem has no solution with eta > 0. A stabilising controller may still exist."""
+    """Error that is raised if an LMI problem has no solution with eta > 0. A controller that stabilises the plant may still
+    exist.
+    """
 
 
 class TooLargeError(DesignError):
-    """Failure because an LMI problem has more optimisation variables than the central-path method allows."""
+    """Error that is raised if an LMI problem has more optimisation variables than the central-path method allows."""
 
 
 # A wrong shape is a programming error of Roadproof, even though numpy raises a LinAlgError for it.
@@ -39,7 +41,7 @@ NUMERIC = (  # words that numpy, scipy, LAPACK and Python use in messages about 
 
 
 def of_rounding(error: BaseException) -> bool:
-    """Returns True if an error is due to rounding (such as a singular matrix), and not to a mistake (such as a wrong shape)."""
+    """Returns True if an error is caused by rounding (such as a singular matrix), not by a mistake (such as a wrong shape)."""
     message = str(error)
     if isinstance(error, np.linalg.LinAlgError):
         return not any(word in message for word in OF_SHAPES)
@@ -50,7 +52,9 @@ def of_rounding(error: BaseException) -> bool:
 
 @contextmanager
 def up_to_rounding() -> Iterator[None]:
-    """Ends the block without a message if an error is due to rounding, for example in a descent at the limit of stability."""
+    """Ends the `with` block without a message if an error is due to rounding, for example in a descent at the limit of
+    stability.
+    """
     try:
         yield
     except (ValueError, ArithmeticError) as error:
@@ -62,10 +66,11 @@ def up_to_rounding() -> Iterator[None]:
 def numerics() -> Iterator[None]:
     """Runs a block or a decorated function with one BLAS thread and without warnings about overflow.
 
-    Failed linear algebra raises a DesignError. Results can be infinite or NaN; the callers check for this.
+    If a computation of linear algebra fails, a DesignError is raised. Results can be infinite or NaN, so the callers check
+    them.
 
     Raises:
-        DesignError: numpy or scipy reports a matrix that is singular or not finite.
+        DesignError: numpy or scipy reports that a matrix is singular or not finite.
     """
     with one_thread(), np.errstate(all="ignore"):
         try:

@@ -1,10 +1,10 @@
 """Adaptive quadrature over a frequency band.
 
-The band is divided into panels. The length of a panel is at most a fraction of the distance to the nearest pole in the complex
-plane. A spectrum is therefore equally smooth on all panels, and even a resonance with a damping of 1e-6 needs only a few more
-panels. Each panel has Gauss-Legendre nodes, which are exact for polynomials up to degree 19. The error estimate is the part of
-the integrand with polynomial degrees 8 and 9, which is far larger than the true error. Panels with a large error estimate are
-halved.
+The frequency band is divided into panels. The length of a panel is at most a fraction of the distance to the nearest pole in
+the complex plane. A spectrum is therefore equally smooth on all panels; even a resonance with a damping of 1e-6 needs only a
+few more panels. Each panel has Gauss-Legendre nodes, which are exact for polynomials up to degree 19. The error estimate is the
+part of the integrand with polynomial degrees 8 and 9, which is far larger than the true error. Panels with a large error
+estimate are split into halves.
 """
 
 from collections.abc import Callable
@@ -33,8 +33,8 @@ class Band:
     """Values of a function at the quadrature nodes of a frequency band.
 
     Attributes:
-        omega: nodes in ascending order [rad/s], shape (F,).
-        share: quadrature weights [Hz], shape (F,). An integral over frequency is `share @ integrand`.
+        omega: frequencies of the nodes in ascending order [rad/s], shape (F,).
+        share: quadrature weights [Hz], shape (F,). The integral of a function over frequency is `share @ integrand`.
         values: values of the function at the nodes, shape (F, ...).
         error: largest estimated relative error among the integrals whose accuracy was checked.
     """
@@ -45,9 +45,9 @@ class Band:
     error: float
 
     def before(self, other: "Band") -> "Band":
-        """Returns this band followed by the adjacent band `other`.
+        """Returns the frequency band of this object followed by the adjacent band `other`.
 
-        The error of the result is the error of `other`, because the integrals over that band dominate.
+        The error of the result is the error of `other`, because the integrals over `other` dominate.
         """
         pairs = zip((self.omega, self.share, self.values), (other.omega, other.share, other.values), strict=True)
         return Band(*(np.concatenate(pair) for pair in pairs), error=other.error)
@@ -55,9 +55,9 @@ class Band:
     def turning(self, time: float) -> Array:
         """Returns complex weights for Fourier integrals, shape (F,).
 
-        `turning(t) @ f` is the integral of f exp(j omega t) over frequency [Hz]. The integral is accurate for any t [s],
-        because f is treated as the polynomial through its nodes on each panel. The method uses that the integral of P_l(x)
-        exp(j a x) from -1 to 1 is 2 j^l j_l(a), where P_l is a Legendre polynomial and j_l a spherical Bessel function.
+        The integral of f exp(j omega t) over frequency [Hz] is `turning(t) @ f`. The integral is accurate for any t [s],
+        because f is treated as the polynomial through its nodes on each panel. The method uses the formula 2 j^l j_l(a) for the
+        integral of P_l(x) exp(j a x) from -1 to 1, where P_l is a Legendre polynomial and j_l a spherical Bessel function.
         """
         from scipy import special  # this import takes 0.1 s
 
@@ -76,14 +76,14 @@ def sample_band(
     poles: Array,
     longest: float,
 ) -> Band:
-    """Samples a function at so many frequencies of a band that integrals over its values are accurate.
+    """Samples a function at enough frequencies of a band to make integrals over the values of the function accurate.
 
     Args:
         function: function of frequencies [rad/s] of shape (F,), which returns values of shape (F, ...).
         checked: function of frequencies, shape (F,), and of the values that `function` has at these frequencies. `checked`
             returns c nonnegative integrands whose integrals must be accurate, shape (F, c).
-        low, high: ends of the band, above 0 [rad/s].
-        poles: poles of the function [rad/s], complex, shape (n,). Near poles, panels are short.
+        low, high: ends of the frequency band, above 0 [rad/s].
+        poles: poles of the function [rad/s], complex, shape (n,). The panels near poles are short.
         longest: largest length of a panel [rad/s].
     """
     left, right = _panels(low, high, poles, longest)
@@ -128,7 +128,7 @@ def _nodes(left: Array, right: Array) -> Array:
 
 
 def _estimate(integrands: Array, width: Array) -> Array:
-    """Returns the relative error estimate of every panel, shape (P,): the largest estimate among all integrals."""
+    """Returns the relative error estimate of every panel, shape (P,): the largest of the estimates for all integrals."""
     by_panel = integrands.reshape(len(width), ORDER, -1)
     whole = np.einsum("k,pkc,p->c", WEIGHTS, by_panel, width)
     last = np.abs(np.einsum("lk,pkc,p->lpc", LAST, by_panel, width)).max(axis=0)

@@ -15,7 +15,7 @@ Exponential = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """Linear system x' = A x + B u, y = C x + D u; if dt is given, x[k+1] = A x[k] + B u[k].
+    """Linear system x' = A x + B u, y = C x + D u; if dt is given, x[k+1] = A x[k] + B u[k] replaces the first equation.
 
     Attributes:
         A: state matrix, shape (n, n).
@@ -24,11 +24,11 @@ class StateSpace:
         D: feedthrough, shape (p, k).
         inputs: names of the k inputs; empty if they have no names.
         outputs: names of the p outputs; empty if they have no names.
-        dt: sample period [s]; None in continuous time.
+        dt: sample period [s]; None for a system in continuous time.
         states: names of the n states; may be empty.
 
     Raises:
-        InputError: the shapes of the matrices do not fit.
+        InputError: the shapes of the matrices do not fit together.
     """
 
     A: Array
@@ -49,7 +49,7 @@ class StateSpace:
 
     @classmethod
     def of_law(cls, law: LinearLaw) -> "StateSpace":
-        """Returns a law or a filter as a system without signal names."""
+        """Returns a control law or a filter as a system without signal names."""
         return cls(law.A, law.B, law.C, law.D, dt=law.sample_period)
 
     def rows(self, outputs: Sequence[str]) -> list[int]:
@@ -61,19 +61,21 @@ class StateSpace:
         return [self.inputs.index(name) for name in inputs]
 
     def part(self, outputs: Sequence[str], inputs: Sequence[str]) -> "StateSpace":
-        """Returns the system with only the given inputs and outputs."""
+        """Returns the system with only the inputs and outputs that are named."""
         rows, columns = self.rows(outputs), self.columns(inputs)
         D = self.D[np.ix_(rows, columns)]
         return replace(self, B=self.B[:, columns], C=self.C[rows], D=D, inputs=tuple(inputs), outputs=tuple(outputs))
 
     def with_inputs(self, names: Sequence[str], B: Array, D: Array) -> "StateSpace":
-        """Returns the system with j more inputs, given their names and their columns of B and D, shapes (n, j) and (p, j)."""
+        """Returns the system with j more inputs, given the names of these inputs and their columns of B and D, shapes (n, j)
+        and (p, j).
+        """
         return replace(self, B=np.hstack([self.B, B]), D=np.hstack([self.D, D]), inputs=(*self.inputs, *names))
 
     def closed(self, outputs: Sequence[str], inputs: Sequence[str]) -> "StateSpace":
-        """Returns the system with feedback: each output in `outputs` is added to the input at the same place in `inputs`.
+        """Returns the system with feedback: each output in `outputs` is added to the input at the same position in `inputs`.
 
-        In the result, these inputs are external signals that are added to the feedback.
+        In the result, the inputs named in `inputs` are external signals that are added to the feedback.
 
         Raises:
             InputError: the feedback has an algebraic loop without a solution.
@@ -88,25 +90,29 @@ class StateSpace:
 
     @property
     def feedthrough_radius(self) -> float:
-        """Spectral radius of the feedthrough of a cut loop. If this radius is 1 or more, the closed loop has no delay margin."""
+        """Spectral radius of the feedthrough of a loop that is cut open. If the spectral radius is 1 or more, the closed loop
+        has no delay margin.
+        """
         return spectral_radius(self.D)
 
     def loop_matrix(self, factor: Array | complex) -> Array:
-        """Returns the state matrix of a cut loop that is closed by u = factor y, for an array of factors, shape (..., n, n)."""
+        """Returns the state matrix of a loop that was cut and is closed by u = factor y, for an array of factors, shape (...,
+        n, n).
+        """
         factor = np.asarray(factor)[..., None, None]
         if not np.any(self.D):
             return self.A + factor * (self.B @ self.C)
         return self.A + self.B @ np.linalg.solve(np.eye(len(self.D)) - factor * self.D, factor * self.C)
 
     def hold_matrices(self, duration: float, exponential: Exponential = linalg.expm) -> tuple[Array, Array]:
-        """Returns Phi and Gamma for inputs that are held over a duration [s].
+        """Returns Phi and Gamma for inputs that are held constant for a duration [s].
 
         The states at the end of the duration are Phi x + Gamma u.
 
         Args:
-            duration: time over which the inputs are held [s].
-            exponential: function that computes the matrix exponential. In discrete time, this function is not used, because
-                steps are repeated.
+            duration: time during which the inputs are held constant [s].
+            exponential: function that computes the matrix exponential. In discrete time, this function is not used, because the
+                steps of the system are repeated instead.
         """
         n, k = self.B.shape
         if self.dt is None:

@@ -1,4 +1,4 @@
-"""Coordinates and units in which the matrix entries of one or more plants are near 1."""
+"""Coordinates and units in which the entries of the matrices of one or more plants are near 1."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -27,10 +27,11 @@ DEPENDENT = 1e-10  # rows of length 1 count as linearly independent if their sma
 
 
 def reachable(plant: Plant, free: int) -> Array:
-    """Returns coordinates in which the inputs and the disturbance affect all states equally, with the block structure of (12).
+    """Returns coordinates with the block structure of (12), in which the inputs and the disturbance affect all states equally.
 
-    The coordinates are the square root of a controllability Gramian, block by block. For the Gramian, A is shifted so far that
-    all modes decay. Neither the shift nor the result depends on the coordinates.
+    The coordinates are computed block by block, as the square root of a controllability Gramian. For the Gramian, A is shifted
+    by a multiple of I that is large enough to make all modes decay. Neither the shift nor the result depends on the
+    coordinates.
     """
     n = len(plant.A)
     _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
@@ -48,15 +49,16 @@ def reachable(plant: Plant, free: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class OwnUnits:
-    """Units in which the entries of a plant and of C_y are near 1. These units do not depend on the given units.
+    """Units in which the matrix entries of a plant and of C_y are near 1. The resulting units do not depend on the units in
+    which the plant is given.
 
     The units are powers of two, so that conversion in either direction causes no rounding.
 
     Attributes:
-        states: unit of each state in which entries are near 1, expressed in the given unit, shape (n,).
-        inputs: unit of each input in which entries are near 1, expressed in the given unit, shape (m,).
-        exact: units of states and inputs before rounding to powers of two, shapes (n,) and (m,). These units do not depend on
-            the given units.
+        states: unit of each state in which matrix entries are near 1, expressed in the given unit of this state, shape (n,).
+        inputs: unit of each input in which matrix entries are near 1, expressed in the given unit of this input, shape (m,).
+        exact: units of states and inputs before they are rounded to powers of two, shapes (n,) and (m,). The resulting units do
+            not depend on the units in which the plant is given.
         rate: characteristic rate of the plant [rad/s]; see `own_units`. The units do not change the unit of time.
     """
 
@@ -66,18 +68,18 @@ class OwnUnits:
     rate: float
 
     def into(self, plant: Plant) -> Plant:
-        """Converts a plant from the given units to these units."""
+        """Converts a plant from its given units to the units of this object."""
         return _in_units(plant, self.states, self.inputs)
 
     def back(self, plant: Plant) -> Plant:
-        """Converts a plant from these units to the given units."""
+        """Converts a plant from the units of this object to its given units."""
         return _in_units(plant, 1 / self.states, 1 / self.inputs)
 
     def rows(self, Cy: Array) -> tuple[Array, Array]:
-        """Returns C_y, in these units of the states, as a product S V, where V has orthonormal rows.
+        """Returns C_y, in the state units of this object, as a product S V, where V has orthonormal rows.
 
-        A design depends only on the span of the rows. Nearly dependent rows would lose digits in every product. A design
-        therefore uses V, and inverts S only once, at the end.
+        A design depends only on the span of the rows. Rows that are nearly dependent would lose digits in every product. A
+        design therefore uses V, and inverts S only once, at the end.
 
         Args:
             Cy: matrix with independent rows, shape (q, n).
@@ -89,7 +91,7 @@ class OwnUnits:
 
 
 def orthonormal_rows(rows: Array) -> tuple[Array, Array]:
-    """Decomposes a matrix of rows into S V.
+    """Decomposes a matrix, given by its rows, into a product S V.
 
     The rows of V are orthonormal and do not depend on the units, and S is lower triangular.
     """
@@ -104,7 +106,7 @@ def orthonormal_rows(rows: Array) -> tuple[Array, Array]:
 def independent(rows: Array) -> list[int]:
     """Returns the indices of rows that do not depend linearly on earlier rows, in ascending order.
 
-    No row may be zero. The units of the rows have no influence.
+    No row may be zero. The units of the rows have no influence on the result.
     """
     rows, _ = unit_rows(rows)
     kept: list[int] = []
@@ -115,9 +117,9 @@ def independent(rows: Array) -> list[int]:
 
 
 def unit_rows(Cy: Array) -> tuple[Array, Array]:
-    """Returns the rows scaled to length 1, and their lengths, shape (q,).
+    """Returns the rows scaled to length 1, and the former lengths of the rows, shape (q,).
 
-    After this scaling, no row is negligible because of its unit.
+    After rows have been scaled in this way, no row is negligible because of its unit.
     """
     lengths = np.linalg.norm(Cy, axis=1)
     return Cy / lengths[:, None], lengths
@@ -125,21 +127,21 @@ def unit_rows(Cy: Array) -> tuple[Array, Array]:
 
 @functools.lru_cache(maxsize=4)  # the results are cached, because a design needs the units often and a plant does not change
 def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
-    """Returns units of states and inputs in which the plant's entries are near 1, and the rate of the plant.
+    """Returns units of states and inputs in which the matrix entries of the plant are near 1, and the rate of the plant.
 
-    The units result from a least-squares fit to the logarithms of all nonzero entries. The units of disturbances, outputs and
-    measurements are also unknowns of this fit. The function `balance` would ignore states that do not drive other states, or do
-    not depend on them. A norm requires one unit for all disturbances w, and one unit for all outputs z. These two units affect
-    the result only if nothing else determines the speed of the plant. For example, integrators have the rate at which motion
-    and driving force have the same weight in z.
+    The units result from a least-squares fit to the logarithms of all nonzero matrix entries. The units of disturbances,
+    outputs and measurements are also unknowns of the least-squares fit. The function `balance` would ignore states that do not
+    drive other states, or do not depend on other states. A norm requires one unit for all disturbances w, and one unit for all
+    outputs z. The units of w and z affect the result only if nothing else determines the speed of the plant. For example,
+    integrators have the rate at which motion and driving force have the same weight in z.
 
-    The pattern of zeros may leave some units undetermined. Undetermined units are kept as given, preferably those of the
-    disturbance. As a result, a plant that is given in two sets of units, which differ by powers of two, is identical bit for
-    bit after conversion.
+    The pattern of zeros in the matrices may leave some units undetermined. Where a choice remains, a unit is kept as given,
+    preferably the unit of the disturbance. As a result, a plant that is given in two sets of units, which differ by powers of
+    two, is identical bit for bit after conversion.
 
     Args:
         plant: plant with n states. For a discrete plant, the units are those of `Plant.differences`.
-        measured: True if the entries of C_y are also brought near 1.
+        measured: True if the entries of C_y are also scaled to values near 1.
     """
     Cy, plant = plant.Cy if measured else plant.Cy[:0], plant.differences
     n, (m, r, d, q) = len(plant.A), (plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(Cy))
@@ -169,16 +171,16 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
 
 
 def _powers(exponents: Any) -> Any:
-    """Returns the powers of two whose exponents are the given numbers, rounded to integers."""
+    """Returns powers of two whose exponents are the given numbers, rounded to integers."""
     return np.exp2(np.floor(exponents + UPWARDS))
 
 
 def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
-    """Returns the least-squares solution, in which some of the undetermined unknowns are 0.
+    """Returns the least-squares solution in which some of the undetermined unknowns are set to 0.
 
-    Among equally undetermined unknowns, the first one is set to 0. In a connected plant, all units except the rate are equally
-    undetermined. Rounding errors must not decide which unit is set to 0. Rounding errors differ between machines, and an
-    extreme unit might then determine all other units.
+    Among units that are equally undetermined, the first one is set to 0. If the whole plant is connected, all units except the
+    rate are equally undetermined. Rounding errors must not decide which of the units is set to 0. Rounding errors differ
+    between machines, and an extreme unit might then determine all other units.
 
     Args:
         normal: matrix of the normal equations, shape (N, N).
@@ -198,10 +200,11 @@ def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
 
 
 def speed(plant: Plant) -> tuple[float, bool]:
-    """Returns the speed of the plant [rad/s], and True if this is the speed of its fastest pole.
+    """Returns the speed of the plant [rad/s], and True if this speed is the speed of the fastest pole.
 
-    If all poles are at 0, the speed is the plant's rate (see `own_units`), and the second value is False. Poles of weighting
-    filters do not count. For a discrete plant, the speed of a mode is its change per sample divided by dt.
+    If all poles are at 0, the speed is the rate of the plant (see `own_units`), and the second value is False. Poles of
+    weighting filters are not considered in the speed. For a discrete plant, the speed of a mode is the change of the mode per
+    sample, divided by dt.
     """
     plant = plant.differences.without_weighting
     A = plant.A
@@ -214,7 +217,9 @@ def speed(plant: Plant) -> tuple[float, bool]:
 
 
 def are_integrators(A: Array) -> bool:
-    """Returns True if all poles are at 0 up to rounding. This test requires that the entries of A have similar sizes."""
+    """Returns True if all poles are 0 up to rounding errors. The test of the poles requires that the entries of A have similar
+    sizes.
+    """
     n = len(A)
     return bool(np.linalg.norm(np.linalg.matrix_power(A / size(A), n), 2) <= NILPOTENT)
 

@@ -1,7 +1,7 @@
-"""Claims of LMI certificates about upper bounds. Each claim contains an X that proves its bound in rational arithmetic.
+"""Claims about upper bounds, for LMI certificates. Each claim contains an X that proves its bound in rational arithmetic.
 
 X is computed in floats and rounded to as few bits as the proof allows, which keeps the files short. The code of
-`check_certificate.py` then checks the claim. A claim is returned only if this check proves the claim.
+`check_certificate.py` then checks the claim. A claim is returned only if the check of `check_certificate.py` proves the claim.
 """
 
 from collections.abc import Iterator
@@ -35,13 +35,13 @@ SLOWER = (1e-3, 1e-2, 0.1)
 
 
 def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = None, known: Array | None = None) -> Claim | None:
-    """Returns the claim that a loop is stable with a norm below a bound; None if the claim is not proved.
+    """Returns the claim that a loop is stable and its norm is below a bound; None if the claim is not proved.
 
     Args:
         loop: closed loop in rational arithmetic.
         dt: sample period [s]; None for a continuous loop.
-        bound: upper bound that the claim states for the norm. If `bound` is None, a value just above the norm is used.
-        known: matrix X that proves the bound, shape (n, n); None if no such matrix is known.
+        bound: upper bound that the claim states for the norm. If `bound` is None, the claim uses a value just above the norm.
+        known: matrix X that proves the bound, shape (n, n); None if no matrix that proves the bound is known.
     """
     plain = floats(loop, dt)
     if not stability(plain.A, dt).stable:
@@ -81,8 +81,8 @@ def decay_claim(loop: ExactLoop, dt: float | None = None, rate: float | None = N
     Args:
         loop: closed loop in rational arithmetic.
         dt: sample period [s]; None for a continuous loop.
-        rate: rate of decay [1/s]; for a discrete loop, the largest allowed |z|. If `rate` is None, a value close to the decay
-            of the slowest pole is used.
+        rate: decay rate [1/s]; for a discrete loop, the largest allowed |z|. If `rate` is None, the claim uses a value close to
+            the decay rate of the slowest pole.
     """
     plain = floats(loop, dt)
     growth = float(stability(plain.A, dt).growth.max())
@@ -106,7 +106,7 @@ def decay_claim(loop: ExactLoop, dt: float | None = None, rate: float | None = N
 
 
 def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
-    """Returns the claim that |z| stays within a bound for every w of energy 1; None if the claim is not proved.
+    """Returns the claim that |z| does not exceed a bound for any w of energy 1; None if the claim is not proved.
 
     Args:
         loop: closed loop in rational arithmetic, without feedthrough from w to z.
@@ -123,12 +123,12 @@ def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
 def box_claims(loop: ExactLoop, proof: BoxProof, rate: float | None = None) -> list[Claim] | None:
     """Returns one claim for each part of a box of gain errors; None if a claim is not proved.
 
-    Either all claims bound the norm, or all claims bound the decay rate.
+    Either all claims of the list bound the norm, or all claims bound the decay rate.
 
     Args:
         loop: closed loop without gain errors, in rational arithmetic.
         proof: box of gain errors, split into parts, with a matrix X that proves the bound for each part.
-        rate: rate of decay that the parts prove [1/s]; None if the parts prove the bound on the norm.
+        rate: decay rate that is proved for every part [1/s]; None if a bound on the norm is proved instead.
     """
     what = {"of": "norm", "bound": decimal(proof.bound)} if rate is None else {"of": "decay", "rate": decimal(rate)}
     claims = list[Claim]()

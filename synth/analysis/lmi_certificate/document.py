@@ -1,13 +1,13 @@
 """LMI certificates of any plant: the plant, the gain and the claims, as JSON.
 
 A control law with states, x_c' = A x_c + B y, u = C x_c + D y, is written as the static gain [D, C; B, A] of a larger plant.
-This plant has the additional states x_c' = v with the inputs v, and it measures x_c.
+The larger plant has the additional states x_c with x_c' = v, the additional inputs v, and the additional measurements x_c.
 
-For a discrete law of a continuous plant, the claims concern the continuous counterpart of the law by Tustin's method. The
-counterpart and the discrete law have the same static gain, but the larger plants differ. With a = 2 / T, the plant of the
-counterpart has the states xi' = -a xi + v and measures x_c = 2 a xi - v. The transfer function from v to x_c is then (a - s) /
-(a + s), which Tustin's method substitutes for 1 / z. For both kinds of laws, the file thus contains the matrices of the law
-itself.
+For a discrete law of a continuous plant, the claims concern the continuous counterpart of the law, which Tustin's method gives.
+The counterpart and the discrete law have the same static gain, but the larger plants of the two laws differ. With a = 2 / T for
+the sample period T, the larger plant of the counterpart has the states xi' = -a xi + v and measures x_c = 2 a xi - v. The
+transfer function from v to x_c is then (a - s) / (a + s), by which Tustin's method replaces 1 / z. The file of either kind of
+law thus contains the matrices of the law itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,13 +52,15 @@ def with_law(plant: Plant, law: LinearLaw) -> tuple[Plant, Array]:
 
 
 def plain_names(plant: Plant) -> Names:
-    """Returns the names x1, x2, ... for the states of a plant, and u1, w1, z1, y1, ... for its other signals."""
+    """Returns the names x1, x2, ... for the states of a plant, and names such as u1, w1, z1 and y1 for its signals."""
     counts = dict(zip("xuwzy", (len(plant.A), plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(plant.Cy)), strict=True))
     return {key: [(f"{letter}{i + 1}", "1") for i in range(counts[letter])] for letter, key in SIGNALS.items()}
 
 
 def _distinct(signals: Sequence[Signal]) -> list[dict[str, str]]:
-    """Returns signals as JSON. If several signals have the same name, a number is added to the later names."""
+    """Returns the signals of a plant as JSON. If several signals have the same name, a number is appended to the name of each
+    later signal.
+    """
     names = [name for name, _ in signals]
     before = [names[:i].count(name) for i, name in enumerate(names)]
     return [{"name": f"{name} ({k + 1})" if k else name, "unit": unit} for (name, unit), k in zip(signals, before, strict=True)]
@@ -66,14 +68,14 @@ def _distinct(signals: Sequence[Signal]) -> list[dict[str, str]]:
 
 @dataclass
 class Document:
-    """LMI certificate under construction: claims about one or more plants with the same gain.
+    """LMI certificate under construction, with claims about one or more plants that have the same gain.
 
     Attributes:
-        gain: gain from the measurements, including the states of the law, shape (m + k, q + k).
-        law_states: number k of states of the law.
-        plants: plants as JSON, by name.
+        gain: gain from the measurements to the forces, extended by the states of the law, shape (m + k, q + k).
+        law_states: number k of the law's states.
+        plants: plants by name, in the form for JSON.
         claims: proved claims.
-        not_exact: claims that the file does not prove, each with the reason.
+        not_exact: claims that the file does not prove, each with the reason why the proof is missing.
     """
 
     gain: Array
@@ -102,8 +104,8 @@ class Document:
 
         Args:
             plant: name of the plant.
-            what: description of the claims, used in the list of claims without a proof.
-            claims: one claim or several claims; if there is no proof, a text with the reason, or None.
+            what: description of the claims, which is used in the list of claims without a proof.
+            claims: one or several claims; if there is no proof, a text with the reason, or None.
         """
         if claims is None or isinstance(claims, str):
             self.leave_out(what, claims or "rounding leaves no proof", TWICE if claims == MULTIPLIERS else "none")
@@ -116,15 +118,16 @@ class Document:
         self.not_exact.append({"claim": what, "proof": proof, "reason": reason})
 
     def add_certificate(self, name: str, plant: Plant, loop: ExactLoop, certificate: Certificate, of: Plant | None) -> None:
-        """Adds the claims of a certificate: the bound on the norm, the decay and the lower bound.
+        """Adds the claims of a certificate: the bound on the norm, the decay rate and the lower bound on the norm.
 
         Args:
             name: name of the plant.
             plant: plant with the states of the law.
             loop: closed loop of the gain with this plant.
             certificate: certificate of the closed loop.
-            of: plant to which the lower bound applies; its states are the first states of `plant`. None if the
-                file cannot contain a proof of the lower bound, because the plant of the bound has different states.
+            of: plant to which the lower bound applies; the states of this plant are the first states of `plant`. None if the
+                file cannot contain a proof of the lower bound, because the lower bound was proved for a plant with different
+                states.
         """
         proof, below = certificate.proof, certificate.below
         if certificate.stable:
@@ -143,7 +146,7 @@ class Document:
 
         Args:
             controller: name of the controller.
-            about: additional entries of the file.
+            about: additional entries that are written to the file.
         """
         ends = [(claim.get("low", [[]]), claim.get("high", [[]])) for claim in self.claims]
         corners = [2 ** sum(a != b for a, b in zip(*low, *high, strict=True)) for low, high in ends]
@@ -168,7 +171,7 @@ def plant_certificate(name: str, plant: Plant, law: LinearLaw, certificate: Cert
         name: name of the controller.
         plant: continuous or discrete plant with measurements.
         law: control law.
-        certificate: certificate of the closed loop, such as `certify_law` returns.
+        certificate: certificate of the closed loop, for example from `certify_law`.
     """
     larger, gain = with_law(plant, law)
     document = Document(gain, law.states)

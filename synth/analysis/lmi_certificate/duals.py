@@ -27,9 +27,10 @@ def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict 
     """Returns the claim of a lower bound, or the reason why a certificate cannot contain this claim.
 
     Args:
-        plant: plant of the bound. `loop` has the states of this plant, followed by the states of the law.
+        plant: plant to which the lower bound applies. The states of `loop` are the states of this plant, followed by the states
+            of the law.
         loop: closed loop with a controller, in rational arithmetic.
-        below: lower bound with its proof.
+        below: lower bound, with the proof of this bound.
     """
     if below.limit_at is not None:
         return _invariant_point(plant, loop, below)
@@ -53,13 +54,13 @@ def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict 
 
 
 def _largest(gamma: float, proves: Callable[[Fraction], bool]) -> Fraction:
-    """Returns the largest lower bound that is proved, among gamma and some values just below gamma; 0 if none is proved."""
+    """Returns the largest proved lower bound among gamma and some values just below gamma; 0 if none of them is proved."""
     levels = [decimal(gamma), *(decimal(rounded(gamma * (1 - less), 15)) for less in LOWER)]
     return next((level for level in levels if proves(level)), Fraction(0)) if proves(levels[-1]) else Fraction(0)
 
 
 def _invariant_point(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict | str:
-    """Returns the claim of an invariant point, or the reason why it is not proved."""
+    """Returns the claim of the bound at an invariant point, or the reason why this bound is not proved."""
     assert below.limit_at is not None, "it is given"
     n, sampled = len(plant.A), plant.dt is not None
     t = Fraction(float(below.limit_at if plant.dt is None else np.tan(below.limit_at * plant.dt / 2)))
@@ -82,7 +83,7 @@ def _invariant_point(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict |
 def _duals(
     plant: Plant, state: DualCertificate, observer: DualCertificate | None, bits: int, shrink: float
 ) -> tuple[Array, Array, Array] | None:
-    """Returns W1, W2 and V12 of the dual certificates as arrays of `Fraction`; None if they cannot be computed."""
+    """Returns the matrices W1, W2 and V12 of the dual certificates as arrays of `Fraction`; None if they cannot be computed."""
     n, r = plant.Bw.shape
     one = SynthesisInequality.of(plant)
     first = _rational(one, state, bits)
@@ -123,7 +124,7 @@ def _rational(side: SynthesisInequality, certificate: DualCertificate, bits: int
 
 
 def _weights(plant: Plant, side: SynthesisInequality, W: Array) -> Array:
-    """Returns the matrix V that multiplies X in a dual solution, in the coordinates of the inequality, rounded to floats."""
+    """Returns the matrix V that multiplies X in a dual solution, in the coordinates of the inequality and rounded to floats."""
     n, at = len(plant.A), side.coordinates
     system, over = integers(plant.system_matrix[:, :n])
     S = _fractions(system[:, at], over)
@@ -134,10 +135,10 @@ def _weights(plant: Plant, side: SynthesisInequality, W: Array) -> Array:
 
 
 def _normal_rows(side: SynthesisInequality) -> Array:
-    """Returns J with its rows scaled so that the columns `coordinates` of J form the identity matrix."""
+    """Returns the matrix J, with its rows scaled so that the columns `coordinates` of J form the identity matrix."""
     return np.array([[Fraction(x, row[at]) for x in row] for row, at in zip(side.J, side.coordinates, strict=True)], dtype=object)
 
 
 def _fractions(whole: Array, over: int) -> Array:
-    """Returns integers divided by a denominator, as an array of `Fraction`."""
+    """Returns integers, each divided by the same denominator, as an array of `Fraction`."""
     return np.array([[Fraction(x, over) for x in row] for row in whole], dtype=object).reshape(whole.shape)

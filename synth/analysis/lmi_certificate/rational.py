@@ -1,4 +1,4 @@
-"""Numbers of LMI certificates: floats as strings of rational numbers, and matrices rounded to few bits."""
+"""Numbers in LMI certificates: floats are written as strings of rational numbers, and matrices are rounded to few bits."""
 
 from collections.abc import Iterator, Sequence
 from decimal import ROUND_FLOOR, Context
@@ -23,22 +23,24 @@ def rational(value: float | Fraction) -> str:
 
 
 def rows(matrix: Array | Sequence[Sequence[Fraction]]) -> list[list[str]]:
-    """Returns a matrix of floats or rational numbers as rows of texts, each of which gives an entry exactly."""
+    """Returns a matrix of floats or rational numbers as rows of texts; each text is the exact value of an entry."""
     return [[rational(entry) for entry in row] for row in matrix]
 
 
 def decimal(value: float) -> Fraction:
-    """Returns the decimal number that Python prints for a float, as an exact fraction."""
+    """Returns the decimal number that Python prints for a float, as an exact `Fraction`."""
     return Fraction(repr(float(value)))
 
 
 def rounded(value: float, count: int, direction: str = ROUND_FLOOR) -> float:
-    """Returns a number rounded to `count` significant digits, by default down; `direction` is a `decimal` rounding mode."""
+    """Returns a number rounded to `count` significant digits, by default downwards; `direction` is a rounding mode of the
+    module `decimal`.
+    """
     return float(Context(prec=count, rounding=direction).create_decimal(value))
 
 
 def exact(matrix: Array) -> Matrix:
-    """Returns a matrix of floats as rational numbers."""
+    """Converts a matrix of floats to rational numbers."""
     return Matrix([Fraction(float(x)) for x in row] for row in matrix)
 
 
@@ -52,16 +54,17 @@ def exact_loop(plant: Plant, K: Array) -> ExactLoop:
 
 
 def floats(loop: ExactLoop, dt: float | None) -> Plant:
-    """Returns the closed loop from w to z in floats, with each entry rounded once."""
+    """Returns the closed loop from w to z in floats, with each matrix entry rounded once."""
     n = len(loop.I.rows)
     S, W = (np.array(M.rows, dtype=float) for M in (loop.S, loop.W))
     return Plant.without_inputs(S[:n], W[:n], S[n:], W[n:], dt=dt)
 
 
 def shortened(X: Array) -> Iterator[Array]:
-    """Yields approximations of a symmetric matrix X with positive diagonal, each with more bits than the previous one.
+    """Yields approximations of a symmetric matrix X with a positive diagonal; each approximation has more bits than the
+    previous one.
 
-    The last matrix is X itself.
+    The last matrix is exactly X.
     """
     size = 2.0 ** np.round(np.log2(np.diagonal(X)) / 2)
     for bits in BITS[:-1]:
