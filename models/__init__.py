@@ -1,7 +1,8 @@
 """Vehicle models: equations of motion, MuJoCo models, parameters, signal names, roads and control laws.
 
 Start with `read_vehicle`, which reads a vehicle file or a built-in vehicle, and with `choose_road`, which turns a text such as
-"bump" into a road. All quantities are in SI units. These are the public names, each of which is imported when it is first used:
+"bump" into a road. All quantities are in SI units. The following names are public, and each name is imported when it is first
+used:
 
 - vehicles: `read_vehicle`, `parse_vehicle`, `Vehicle`
 - roads: `Bump`, `Step`, `Pothole`, `WattsHump`, `Flat`, `SineSweep`, `Iso8608`, `Profile`, `Rig`; their base class `Road`; and

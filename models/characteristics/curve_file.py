@@ -1,11 +1,11 @@
 """Files with characteristics, to which a vehicle file refers by `file = "damper.csv"` or `stop = "bump.csv"`.
 
-When a vehicle file is read, the tables in these files replace the file names, so later steps need only the vehicle file. The
-files of control laws and families are handled in the same way. Tables in CSV, `.xlsx` or `.mat` files have a header with
-quantity and unit of each column: `velocity [mm/s], force [kN]`. Damper property files (`.dpr`) of Adams/Car have the TeimOrbit
-format. A file in this format consists of blocks in brackets, tables below a row of names in braces, and comments after `$` or
-`!`. The block `[UNITS]` contains the units, and the block `[CURVE]` contains the table. Sources: MSC Software, Adams Tire help,
-"About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ.
+When a vehicle file is read, the tables in these files replace the file names, so later steps need only the vehicle file. Files
+with control laws or vehicle families are also replaced by their contents when a vehicle file is read. Tables in CSV, `.xlsx` or
+`.mat` files have a header with quantity and unit of each column: `velocity [mm/s], force [kN]`. Damper property files (`.dpr`)
+of Adams/Car have the TeimOrbit format. A file in this format consists of blocks in brackets, tables below a row of names in
+braces, and comments after `$` or `!`. The block `[UNITS]` contains the units, and the block `[CURVE]` contains the table.
+Sources: MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ.
 """
 
 import re
@@ -92,7 +92,7 @@ def _entries_with_files(entry: Any, path: tuple[str, ...], texts: bool = False) 
     Args:
         entry: entry of the vehicle file.
         path: keys that lead to the entry.
-        texts: True if every text in the entry is a file name, unless it is a number with a unit.
+        texts: True if every text in the entry is a file name, except numbers with a unit.
     """
     named = isinstance(entry, str) and texts and not _is_quantity(entry)
     if named or _names_file(entry) or (isinstance(entry, list) and any(map(_names_file, entry))):
@@ -150,11 +150,12 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
 
 
 def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
-    """Returns a table in SI units. Values are positive in extension, but values of a stop are positive in compression.
+    """Returns a table in SI units. All values are positive if the suspension extends, but the values of a stop are positive in
+    compression.
 
-    The words in the headings determine the signs. The data sheet of a damper dynamometer has a speed v, a rebound force and a
-    compression force in each row. F(v) is then the rebound force, and F(-v) is minus the compression force. A table whose
-    argument goes back and forth is a measured hysteresis loop.
+    The words in the headings determine the signs of the values. The data sheet of a damper dynamometer has a speed v, a rebound
+    force and a compression force in each row. The force F(v) at the speed v of a row is the rebound force, and F(-v) is minus
+    the compression force. A table whose argument goes back and forth is a measured hysteresis loop.
 
     Args:
         text: content of the file.

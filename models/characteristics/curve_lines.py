@@ -18,10 +18,10 @@ NOISE = 4 / 2.4
 def point_indices(x: Array, force: Array, error: float) -> Array:
     """Returns the indices of the points of an approximation, shape (k,).
 
-    These are the first point, the last point, the point at 0, and as few other points as possible.
+    The approximation consists of the first point, the last point, the point at 0, and as few other points as possible.
 
     Args:
-        x: points of the characteristic, ascending, including 0, shape (n,).
+        x: argument (such as velocity) of each point of the characteristic, ascending, including 0, shape (n,).
         force: force at each point, shape (n,).
         error: largest allowed error, in the unit of the force.
     """
@@ -53,7 +53,7 @@ def lines_from_rest(x: Array, force: Array, slopes: tuple[float, float], error: 
     `slopes`.
 
     Args:
-        x: points of the characteristic, ascending, shape (n,).
+        x: argument (such as velocity) of each point of the characteristic, ascending, shape (n,).
         force: force at each point, 0 at x = 0, shape (n,).
         slopes: slopes of the segments below and above 0.
         error: largest allowed error, in the unit of the force.
@@ -72,14 +72,14 @@ def lines_from_rest(x: Array, force: Array, slopes: tuple[float, float], error: 
 
 
 def slopes_at_rest(x: Array, force: Array, error: float) -> tuple[float, float]:
-    """Returns the slopes of a table below and above 0.
+    """Returns the slopes of a table just below and just above the argument 0.
 
-    Without noise, these are the slopes of the segments at 0. Noise is the deviation of the points from smooth curves through
-    their neighbours. With noise, the function fits least-squares lines through 0, and uses the longest line from which no point
-    deviates by more than the noise.
+    If the table has no noise, the function returns the slopes of the two segments next to 0. Noise is the deviation of the
+    points from smooth curves through their neighbours. With noise, the function fits least-squares lines through 0, and uses
+    the longest line from which no point deviates by more than the noise.
 
     Args:
-        x: points of the table, ascending, shape (n,).
+        x: argument of each point of the table, ascending, shape (n,).
         force: force at each point, shape (n,).
         error: largest allowed deviation, in the unit of the force.
     """

@@ -1,9 +1,9 @@
 """Logs of damper dynamometers: force and displacement over time, from which the velocity is computed.
 
-The displacement is differentiated by the filter of A. Savitzky and M. Golay, which has no delay. Its 3 dB cut-off frequency is
-given by R. W. Schafer (2011), What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine 28, 111-117, eq. (12). For a
-damper, the mean of force times velocity over full cycles is above 0. The sign of this mean therefore shows whether the log
-gives force and velocity with the same sign.
+The displacement is differentiated by the filter of A. Savitzky and M. Golay, which has no delay. The 3 dB cut-off frequency of
+this filter is given by R. W. Schafer (2011), What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine 28, 111-117, eq.
+(12). For a damper, the mean of force times velocity over full cycles is above 0. The sign of this mean therefore shows whether
+the log gives force and velocity with the same sign.
 """
 
 import numpy as np

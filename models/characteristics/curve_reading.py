@@ -73,7 +73,7 @@ class Argument(ListedValues):
         name: key of the list in the file, such as "velocity".
         largest: largest allowed value; a larger value probably has a wrong unit.
         small: smaller unit in which a value above `largest` is probably given, for messages.
-        slope: SI unit of the force divided by the argument.
+        slope: SI unit of a slope, the unit of force divided by the unit of the argument.
     """
 
     name: str = ""
@@ -108,7 +108,9 @@ Values = tuple[float, ...]
 
 @dataclass(frozen=True)
 class TableSection(Section):
-    """Section with a table of a quantity over an argument, or with the name of a file that contains the table."""
+    """Section with a table of a quantity against its argument (such as force against velocity), or with the name of a file that
+    contains the table.
+    """
 
     arguments: ClassVar[tuple[str, ...]] = ("velocity",)
     of: ClassVar[str] = "force"
@@ -138,7 +140,7 @@ class TableSection(Section):
 
 @dataclass(frozen=True)
 class CurveTable(TableSection):
-    """Force at given points, with linear interpolation."""
+    """Section with a table of the force at several points; the force is interpolated linearly between the points."""
 
     preload: ClassVar[Any] = False
 
@@ -151,7 +153,7 @@ class CurveTable(TableSection):
 
 @dataclass(frozen=True)
 class StopTableSection(CurveTable):
-    """Force of a bump stop."""
+    """Section with the table of a bump stop's force."""
 
     arguments: ClassVar[tuple[str, ...]] = ("compression", "deflection")
 
@@ -163,7 +165,7 @@ class Preload(SI):
     """The load that a table carries in equilibrium; the value `true` means the static load of the spring."""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns the load [N], or the value if it is `true` or `false`."""
+        """Returns the load [N]; a value `true` or `false` is returned unchanged."""
         return value if isinstance(value, bool) else super().read(value, context)
 
     @property
@@ -249,7 +251,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
     """Returns a characteristic from its table, or from a list of tables and slopes whose forces are added.
 
     Args:
-        where: place of the entry, for messages.
+        where: place of the entry in the vehicle file, for messages.
         entry: the table, or the list of tables and slopes.
         over: argument of the characteristic.
         load: function that returns the static load of the spring [N], or None for an unknown load.
@@ -270,7 +272,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
 
 
 def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: Callable[[], float | None]) -> ForceCurve:
-    """Returns one characteristic whose force is the sum of the forces that slopes and tables give."""
+    """Returns one characteristic whose force is the sum of the forces from all slopes and tables."""
     count = len(tables) + len(slopes)
     if not tables:
         raise InputError(f"has {count} numbers and no table; give their sum in [parameters]")
@@ -312,7 +314,7 @@ def _part(x: Array, force: Array, over: Argument, preload: float, alone: bool) -
         force: forces of the table [N], shape (n,).
         over: argument of the characteristic.
         preload: load that the table carries in equilibrium [N]; 0 if the equilibrium is at deflection 0 of the table.
-        alone: False if the characteristic is a sum of several tables. This table may then belong to a stop that acts only on
+        alone: False if the characteristic is a sum of several tables. In a sum, a table may belong to a stop that acts only on
             one side of equilibrium.
     """
     if preload:
@@ -361,9 +363,11 @@ def _check_both_sides(x: Array, over: Argument) -> None:
 
 
 def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, float]:
-    """Returns points that include the equilibrium, their forces relative to equilibrium, and the force in equilibrium.
+    """Returns points that include the equilibrium, the force at each point minus the force in equilibrium, and the force in
+    equilibrium.
 
-    For a spring, the force in equilibrium is the weight that it carries. For a damper, it must be 0.
+    For a spring, the force in equilibrium is the weight that the spring carries. For a damper, the force in equilibrium must be
+    0.
     """
     x = np.where(np.abs(x) < CLOSEST * (x[-1] - x[0]), 0.0, x)
     at_rest, largest = float(np.interp(0.0, x, force)), float(np.abs(force).max())

@@ -1,7 +1,9 @@
-"""Motion ratio that changes with travel: a table r(d) over the deflection d at the wheel, with linear interpolation.
+"""Motion ratio that changes with travel: a table of the ratio r against the deflection d at the wheel, with linear
+interpolation.
 
 Beyond the points of the table, the ratio is constant. The element's own travel D, the change of the distance between its two
-ends, is the integral of r over d from equilibrium. `models.parts.ratio` computes the forces of an element with a motion ratio.
+ends, is the integral of the ratio r over the deflection d, starting from equilibrium. `models.parts.ratio` computes the forces
+of an element with a motion ratio.
 """
 
 from collections.abc import Callable
@@ -33,7 +35,7 @@ class RatioTable:
 
     Attributes:
         x: deflections [m], ascending, with 0 between the first and the last, shape (n,).
-        ratio: motion ratio r at these deflections, shape (n,).
+        ratio: motion ratio r at each deflection, shape (n,).
         straight: True if springs and dampers with this ratio are linearised in equilibrium, as in linear analysis, and do not
             use the table.
     """
@@ -43,7 +45,7 @@ class RatioTable:
     straight: bool = False
 
     def __call__(self, deflection: Array) -> Array:
-        """Returns the ratio r at deflections [m], shape (...)."""
+        """Returns the motion ratio r at deflections d [m], shape (...)."""
         return np.interp(deflection, self.x, self.ratio)
 
     @cached_property
@@ -59,7 +61,7 @@ class RatioTable:
         return slope_at_rest(x, self(x)) / self.at_rest
 
     def scaled(self, at_rest: float) -> "RatioTable":
-        """Returns the table multiplied by a factor, so that the ratio in equilibrium has a given value."""
+        """Returns the table multiplied by a factor, so that the motion ratio in equilibrium becomes `at_rest`."""
         return replace(self, ratio=self.ratio * (at_rest / self.at_rest))
 
     def shifted_to(self, rest: float) -> "RatioTable":
@@ -123,17 +125,19 @@ class RatioTable:
         return self.ratio_and_travel(deflection)[1]
 
     def deflection(self, travel: Array) -> Array:
-        """Returns the deflections [m] for travels [m] of the element, shape (...), by Newton's method; D rises with d."""
+        """Returns the deflections [m] for travels [m] of the element, shape (...), by Newton's method. The travel always
+        increases with the deflection.
+        """
         d = travel / self.at_rest
         for _ in range(TRIALS):
             d = d - (self.travel(d) - travel) / self(d)
         return d
 
     def damper(self, curve: ForceCurve) -> ForceSurface:
-        """Returns the force of a damper at the wheel, over velocity and deflection.
+        """Returns the force of a damper at the wheel as a function of velocity and deflection.
 
-        The force of a position-dependent damper is computed at the deflections of its own table, at those of the ratio table,
-        and at `COLUMNS` more deflections. The force is interpolated linearly between all these deflections.
+        The force of a position-dependent damper is computed at the deflections of its own table and of the ratio table, and at
+        `COLUMNS` more deflections. The force is interpolated linearly between neighbouring deflections.
         """
         d, v, table = self.x, curve.x, np.repeat(curve.force[:, None], len(self.x), axis=1)
         if isinstance(curve, ForceSurface):
@@ -145,8 +149,8 @@ class RatioTable:
 
 
 def line(slope: float, low: float, high: float) -> ForceCurve:
-    """Returns a straight characteristic with points at 0 and at both ends of travel, so that `range` is its largest force in
-    this travel.
+    """Returns a straight characteristic with points at 0 and at both ends of travel, so that its attribute `range` is the
+    largest force within the travel.
     """
     x = np.array([low, 0.0, high])
     return ForceCurve(x, slope * x, slope, "a line")

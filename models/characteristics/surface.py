@@ -24,12 +24,13 @@ NODES, WIDTH = 400, 6.0
 
 @dataclass(frozen=True, eq=False)
 class ForceSurface(ForceCurve):
-    """Force against velocity and deflection. Where a `ForceCurve` is expected, this object represents the force at deflection 0.
+    """A damper's force against velocity and deflection. Where a `ForceCurve` is expected, this object represents the force at
+    deflection 0.
 
     Attributes:
         velocities: velocities u of the table [m/s], ascending, with 0 between the first and the last, shape (n,).
         deflections: deflections of the table [m], ascending, shape (k,).
-        table: force G at these velocities (rows) and deflections (columns) [N], 0 at velocity 0, shape (n, k).
+        table: force G of the damper [N] for each velocity (row) and deflection (column), 0 at velocity 0, shape (n, k).
         ratio: motion ratio r at the deflections, above 0, shape (k,).
     """
 
@@ -127,7 +128,9 @@ def _lines(d: Array, values: Array) -> tuple[Array, Array]:
 
 
 def surface_of(velocities: Array, deflections: Array, table: Array, words: str, ratio: Array | None = None) -> ForceSurface:
-    """Returns the `ForceSurface` of a table, and computes its section at deflection 0. Without `ratio`, r is 1."""
+    """Returns the `ForceSurface` of a table, and computes the characteristic at deflection 0. If `ratio` is None, the motion
+    ratio is 1.
+    """
     r = np.ones(len(deflections)) if ratio is None else ratio
     at_rest = float(np.interp(0.0, deflections, r))
     x = velocities / at_rest

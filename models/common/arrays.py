@@ -1,6 +1,7 @@
 """The array type that all signatures use, a check for matrices from users, and linear recursions.
 
-Docstrings give shapes and units. Entries are float64 unless a docstring describes them as complex.
+Docstrings give the shape and unit of each array. Entries of an array are float64 unless a docstring describes the array as
+complex.
 """
 
 import itertools
@@ -38,7 +39,7 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
     """Returns a copy of a real matrix, and the magnitude of its largest entry.
 
     Args:
-        value: the matrix, or nested lists. Complex numbers are allowed if all imaginary parts are 0.
+        value: the matrix as an array or as nested lists. Complex numbers are allowed if all imaginary parts are 0.
         name: name of the argument, for messages.
         largest: limit on the magnitude of an entry; infinity for no limit.
         expected: required shape as text, for messages; empty if any shape is allowed.
@@ -83,8 +84,8 @@ def recursion(Phi: Array, forcing: Array, start: Array | None = None) -> Array:
     the following stretches is added.
 
     Args:
-        Phi: transition matrix of one sample, shape (n, n).
-        forcing: effect of the inputs in each sample, shape (..., T, n).
+        Phi: transition matrix from one sample to the next, shape (n, n).
+        forcing: effect of the inputs on the state in each sample, shape (..., T, n).
         start: initial state, shape (n,) or (..., n); None for 0.
     """
     *runs, samples, n = forcing.shape

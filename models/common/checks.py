@@ -3,7 +3,7 @@ argument.
 
 `models.common.lazy` wraps every public function in `check_arguments`. Calls within the packages are not checked. Dataclasses
 derive from `CheckedFields`, or call `check_fields` in `__post_init__`. An annotation in quotes allows any value, because only
-type checkers resolve it.
+type checkers resolve annotations in quotes.
 """
 
 import inspect
@@ -36,8 +36,9 @@ class Must:
     Attributes:
         words: description of the allowed values. If the text begins with a comma or space, messages append it to the
             description of the type.
-        holds: function that returns True for an allowed value; the value has the annotated type.
-        unit: unit of a number; empty for other values. A text with another unit is converted: "60 mm" is 0.06 in m.
+        holds: function that takes a value of the annotated type, and returns True if the value is allowed.
+        unit: unit of a number; empty for other values. A text with a number and a different unit is converted: if the unit is
+            m, "60 mm" becomes 0.06.
     """
 
     words: str
@@ -85,7 +86,7 @@ def check(name: str, value: Any, annotation: Any) -> Any:
         annotation: type annotation that the value must fit.
 
     Raises:
-        InputError: the value does not fit, or has an unknown unit or a unit of another dimension.
+        InputError: the value does not fit the annotation, or has an unknown unit or a unit of the wrong dimension.
     """
     if _obviously(value, annotation):
         return value
@@ -102,7 +103,7 @@ def check_fields(value: Any, prefix: str = "") -> None:
     """Checks the fields of a dataclass, in its `__post_init__`. Lists become the annotated arrays and tuples.
 
     Args:
-        value: the object of the dataclass.
+        value: the instance of the dataclass.
         prefix: text in front of the name of a field, for messages.
 
     Raises:
@@ -116,20 +117,22 @@ def check_fields(value: Any, prefix: str = "") -> None:
 
 
 class CheckedFields:
-    """Base class of dataclasses whose fields are checked by their annotations; see `check_fields`."""
+    """Base class of dataclasses whose fields are checked against their annotations; see `check_fields`."""
 
     def __post_init__(self) -> None:
         check_fields(self)
 
 
 def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> None:
-    """Raises an InputError if an array does not have the expected shape. `why` explains the expected shape."""
+    """Raises an InputError if an array does not have the expected shape. The argument `why` explains the expected shape in the
+    message.
+    """
     if value.shape != shape:
         raise InputError(f"{name} has shape {value.shape}; expected {shape}, {why}")
 
 
 def check_arguments(function: F) -> F:
-    """Returns a function that first checks its arguments by their annotations.
+    """Returns a function that checks its arguments against their annotations before it runs.
 
     If the result is a vehicle, a run or a list of runs, its warnings are also issued, each only once.
     """
@@ -216,8 +219,9 @@ def plain(value: Any) -> Any:
 class _UnfitError(Exception):
     """Raised for a value that does not fit its annotation.
 
-    The first two arguments are the place of the wrong part in the value, such as "[0]", and the wrong part itself. The other
-    arguments are the annotation that the part does not fit, and a message. An empty message is replaced by the default message.
+    The first two arguments of the exception are the place of the wrong part in the value, such as "[0]", and the wrong part
+    itself. The last two arguments of the exception are the annotation that the wrong part does not fit, and a message. An empty
+    message is replaced by the default message.
     """
 
 

@@ -4,8 +4,8 @@ Every wait for an answer has a time limit, and the end of a child raises an exce
 hangs or crashes.
 
 Unlike children of `multiprocessing`, these children do not import the user's script again, so scripts do not need `if __name__
-== "__main__"`. A child has an empty stdin, and its prints go to stderr. A child ignores Ctrl-C, and ends when its parent ends,
-even in the middle of a call.
+== "__main__"`. The standard input of a child is empty, and everything that a child prints goes to stderr. A child ignores
+Ctrl-C, and ends when its parent ends, even in the middle of a call.
 """
 
 import os
@@ -34,15 +34,15 @@ class EndedError(Exception):
 
 
 class Child:
-    """Handle of a child process in its parent. The process ends when this object is deleted."""
+    """Handle of a child process in its parent. The child process ends when this handle is deleted."""
 
     def __init__(self, answers: Answers) -> None:
         """Starts the process.
 
         Args:
             answers: generator function that runs in the child. The function receives an iterator of messages and yields an
-                answer for each message. If the function yields or raises an exception, `receive` raises this exception. If the
-                function raises the exception instead of yielding it, the child also ends.
+                answer for each message. If the function yields or raises an exception, `receive` raises the same exception in
+                the parent. If the function raises the exception instead of yielding it, the child also ends.
         """
         code = f"import sys; sys.path[:] = {sys.path!a}; from models.common.children import serve; serve()"
         process = subprocess.Popen(

@@ -1,4 +1,4 @@
-"""Common parts of all commands: option parsing, one-line errors, and versions of packages."""
+"""Functions that all commands use: option parsing, one-line error messages, and versions of packages."""
 
 import argparse
 import functools
@@ -41,7 +41,7 @@ ALL = "all"  # a user writes this word instead of a controller's name to select 
 
 
 class Parser(argparse.ArgumentParser):
-    """Command-line parser with one-line errors.
+    """Command-line parser with one-line error messages.
 
     The parser refuses options with an empty value, and repeated options unless they are declared as repeatable.
     """
@@ -106,7 +106,9 @@ class Parser(argparse.ArgumentParser):
         return quoted
 
     def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
-        """Returns the options, including the names of the given options (`given`) and the command line (`command_line`)."""
+        """Returns the options, including the names of the options that the user gave (`given`) and the command line
+        (`command_line`).
+        """
         args = sys.argv[1:] if args is None else args
         for argument in args:
             if re.fullmatch(r"--[\w-]+=--", argument):  # argparse would take "--" as the end of the options
@@ -126,8 +128,8 @@ class Parser(argparse.ArgumentParser):
 
         Args:
             default: description of the controllers that are used without `--controller`.
-            several: purpose of giving `--vehicle` several times, for the help text. The values are then in the attribute
-                `vehicles`. Empty for commands with one vehicle.
+            several: purpose of giving `--vehicle` several times, for the help text. If this text is not empty, the values of
+                `--vehicle` are in the attribute `vehicles`. The text is empty for commands with one vehicle.
         """
         self.add_argument(
             "--controller",
@@ -161,7 +163,7 @@ class Parser(argparse.ArgumentParser):
     def add_number(self, option: str, default: float | None, unit: str, meaning: str, unset: str = "") -> None:
         """Adds an option for a finite number, or a number with its unit, such as 90km/h.
 
-        `unset` describes what the default None means.
+        The argument `unset` describes the meaning of the default None.
         """
         usual = unset if default is None else f"{default:g}"
         said = f"{meaning} [{unit}] (default: {usual})"
@@ -192,12 +194,12 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(option, type=count, nargs=nargs, default=unset, metavar="N", help=f"{meaning} (default: {default})")
 
     def add_printed(self, what: str, brief: str = "") -> None:
-        """Adds `--verbose`, `--json` and, if it has a help text, `--brief`.
+        """Adds the options `--verbose` and `--json`, and also `--brief` if its help text is not empty.
 
-        A command line may contain only one of these three options.
+        A command line may contain only one of `--verbose`, `--json` and `--brief`.
 
         Args:
-            what: details that `--verbose` prints.
+            what: description of the details that `--verbose` prints.
             brief: help text of `--brief`; empty for a command without this option.
         """
         printed = self.add_mutually_exclusive_group()
@@ -222,12 +224,12 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(option, action=_GoneOption, help=argparse.SUPPRESS, instead=instead)
 
     def add_logs(self, what: str) -> None:
-        """Adds `--logs`, for a command that records logs only if this option is given."""
+        """Adds the option `--logs`, for a command that records logs only if the user gives this option."""
         self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: no recording)")
 
 
 def chosen_controllers(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[str] = ()) -> list[str]:
-    """Returns the controllers that `--controller` selects, in the given order.
+    """Returns the controllers that `--controller` selects, in the order of the command line.
 
     Args:
         names: names of all controllers of the vehicle.
@@ -263,7 +265,7 @@ def chosen_of(
     Args:
         vehicles: names of all controllers of each vehicle, by a key that identifies the vehicle.
         given: names on the command line, as in `chosen_controllers`.
-        usual: default names, as in `chosen_controllers`.
+        usual: names of the default controllers, as in `chosen_controllers`.
 
     Raises:
         InputError: `chosen_controllers` raises this error, or a vehicle has none of the selected controllers.
@@ -372,7 +374,7 @@ def print_json(result: Mapping[str, Any]) -> None:
 def _page(text: str) -> str:
     """Returns a text of `--help` with wrapped paragraphs.
 
-    Examples are indented. A long example is broken after a backslash.
+    Examples are indented. A long example is continued on the next line after a backslash.
     """
     text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # the lines of each paragraph are joined to one line
     lines = [_example(line) if line.startswith("  ") else wrap_text(line, hang=0) for line in text.splitlines()]

@@ -1,4 +1,4 @@
-"""The error for invalid input. If this error is raised, a command prints a one-line message and returns the exit code 2."""
+"""The error for invalid input. If an InputError is raised, a command prints a one-line message and returns the exit code 2."""
 
 import difflib
 import reprlib
@@ -29,7 +29,7 @@ class InputError(ValueError):
 
 @contextmanager
 def error_in(where: str) -> Iterator[None]:
-    """If the block raises an InputError, puts a place, such as the name of a file, in front of its message."""
+    """Puts a place, such as the name of a file, in front of the message of an InputError that the block raises."""
     try:
         yield
     except InputError as error:
@@ -78,5 +78,5 @@ def alike(name: object, names: Iterable[str], most: int = 12) -> str:
 
 
 def first_few(names: Sequence[str], most: int = 3) -> str:
-    """Returns the first few of many names, and how many other names there are."""
+    """Returns a text with the first few of many names, and with the number of the remaining names."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -32,8 +32,8 @@ class Registry(dict[str, str]):
         """Imports and returns the extension with a given name.
 
         Raises:
-            InputError: no extension of this type has this name.
-            TypeError: an attribute is missing.
+            InputError: no extension has the given name.
+            TypeError: the extension lacks one of the required attributes.
         """
         if name not in self:
             raise InputError(f"{self.sort} {name!r} is not known; known are {alike(name, self)}")

@@ -104,7 +104,7 @@ def whole_file(path: Path, what: str, instead: str = "give another path") -> Ite
 
 @contextmanager
 def together() -> Iterator[None]:
-    """At the end of the block, renames all files that `whole_file` wrote in it; renames none if the block fails.
+    """At the end of the block, renames all files that `whole_file` wrote in the block; if the block fails, renames no file.
 
     Raises:
         InputError: the files cannot be renamed.
@@ -208,8 +208,8 @@ def _try_folder(folder: Path, path: Path, what: str, instead: str) -> None:
 
 
 def identity(path: Path) -> tuple[int, int] | str:
-    """Returns a value that is equal for all paths of the same file or folder. Such paths are links, hard links, and names that
-    differ only in upper and lower case.
+    """Returns a value that is equal for all paths of the same file or folder. Different paths of the same file are links, hard
+    links, or names that differ only in upper and lower case.
     """
     try:
         status = path.stat()

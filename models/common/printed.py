@@ -1,8 +1,8 @@
 """Printed output: lines of at most 80 columns, formats of numbers, commands to paste into a shell, and progress.
 
-The width is fixed, so the output does not depend on the terminal. A longer sentence continues on the next line, indented. In a
-table, a name that is too long is on a separate line. Only paths and lines to copy may be longer than 80 columns, because they
-must not be broken.
+The width is fixed, so the output does not depend on the terminal. A sentence that does not fit on a line continues on the next
+line, indented. In a table, a name that is too long is on a separate line. Only paths and lines to copy may be longer than 80
+columns, because they must not be broken.
 """
 
 import math
@@ -141,7 +141,8 @@ class Stages:
     def __call__(self, text: str) -> None:
         """Begins the stage with this name.
 
-        Any other text is shown as progress of the current stage; an empty text clears the line of progress.
+        A text that is not the name of a stage is shown as progress of the current stage; an empty text clears the line of
+        progress.
         """
         if text in self._names:
             self._now, text = f"[{self._names.index(text) + 1}/{len(self._names)}] {text}", ""

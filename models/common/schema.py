@@ -1,6 +1,6 @@
-"""Declarations of the sections of a file.
+"""Declarations of sections of TOML files: the allowed keys, their units, ranges and meanings.
 
-A section is a frozen dataclass; the annotation of each field gives unit, range and meaning.
+A section is a frozen dataclass; the annotation of each field gives the unit, range and meaning of a key.
 
     @dataclass(frozen=True)
     class Payload(Section):
@@ -42,7 +42,7 @@ class Key:
     Attributes:
         unit: unit of the value; empty for a value without a unit.
         meaning: description of the key in one phrase.
-        schema: JSON schema of the value, if it is equal for all keys of the class.
+        schema: JSON schema of the value, if all keys of the class have the same schema.
     """
 
     unit: str = ""
@@ -62,7 +62,8 @@ class Key:
             context: facts about the vehicle (see `read`), and the values of the keys that are declared before this key.
 
         Raises:
-            InputError: the value is not allowed. The message of this error contains `HERE` instead of section and key.
+            InputError: the value is not allowed. The message of the error contains `HERE` in place of the names of section and
+                key.
         """
         raise NotImplementedError
 
@@ -233,7 +234,7 @@ class AnyTable(Key):
 class Subsection(Key):
     """A table that is read as a section.
 
-    If there are several possible sections, the required key in the table selects one of them.
+    If several sections are possible, the section is the one whose required key is in the table.
 
     `give` is the end of the message for an invalid value.
     """
@@ -259,7 +260,8 @@ class Subsection(Key):
 
 @dataclass(frozen=True)
 class BySignal(Key):
-    """A table with numbers for signals or for other names. Each number has the unit of its signal, or a common unit.
+    """A table with numbers for signals or for other names. Each number has the unit of its signal, or all numbers have the same
+    unit.
 
     The entry `names` in the context of the reader gives the unit of each allowed name.
     """
@@ -306,12 +308,14 @@ class ReadBy(Key):
         return self.allowed
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns the result of the function."""
+        """Returns the value as converted by `function`."""
         return self.function(value, context)
 
 
 def below(place: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
-    """Reads one part of the value of a key. Messages also contain the place of this part, as `.NAME` or `[INDEX]`."""
+    """Reads one part of the value of a key. Messages also contain the place of the part within the value, as `.NAME` or
+    `[INDEX]`.
+    """
     try:
         return key.read(value, context)
     except InputError as error:
@@ -333,7 +337,7 @@ class Section:
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
         """Returns the table of a file after converting those values that depend on other keys.
 
-        No value has been checked yet.
+        The values in the table have not been checked yet.
         """
         return given
 
@@ -421,7 +425,7 @@ def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()
         names: the allowed names; by default, the names of all keys.
 
     Raises:
-        InputError: the text has another form, or a name or value is not allowed.
+        InputError: the text does not have the form `:NAME=VALUE`, or a name or value is not allowed.
     """
     known, given = keys(section), dict[str, Any]()
     with error_in(where):

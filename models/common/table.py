@@ -49,7 +49,7 @@ MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "---"))
 
 @dataclass(frozen=True)
 class NumberTable:
-    """Table of numbers in a text.
+    """Table of numbers in the text of a file.
 
     Attributes:
         lines: lines of the text.
@@ -70,8 +70,8 @@ class NumberTable:
 
         Args:
             units: units whose dimensions are allowed for columns.
-            optional: True if the table needs no headings. A comment is then read as headings only if it contains only
-                quantities.
+            optional: True if the table needs no headings. For such a table, a comment is read as headings only if the comment
+                contains nothing but names of quantities.
             alike: True if several columns may have the same name.
 
         Raises:
@@ -115,7 +115,7 @@ class NumberTable:
     def _heading_cells(self, line: str) -> list[str]:
         """Returns the cells of a line above the numbers; empty if the number of cells is wrong.
 
-        This line may have another separator than the lines of numbers.
+        The line above the numbers may have a different separator from the lines of numbers.
         """
         if self.count == 1 and line.strip():
             return [line.strip("\"'; ")]
@@ -140,7 +140,7 @@ class NumberTable:
             columns: column numbers, counted from 0; empty for all columns. Other columns, and text after the last column, are
                 ignored.
             ragged: True if a line may contain additional numbers after the last column.
-            gaps: True if cells may be missing, as in `MISSING`; they become NaN.
+            gaps: True if cells may be empty or contain a text in `MISSING`, such as "n/a"; these cells become NaN.
 
         Raises:
             InputError: a cell is not a finite number, a line has more or fewer cells than the first line, or decimal and
@@ -227,9 +227,10 @@ def table_text(path: Path) -> str:
     """Returns the content of a file as text.
 
     Text files are read as UTF-8 or, if this fails, as Windows-1252. For LabVIEW files, units are added to the headings. All
-    other files are converted to lines with tabs. For a spreadsheet (.xlsx), the text is the sheet that contains a table or,
-    without such a sheet, the first sheet. For a MATLAB file (.mat), the text contains the arrays; for a Parquet file
-    (.parquet), the columns of numbers. For recordings (MDF4, .mf4, and MCAP, .mcap), the text contains the channels.
+    other files are converted to lines whose cells are separated by tabs. For a spreadsheet (.xlsx), the text is the sheet that
+    contains a table or, without such a sheet, the first sheet. For a MATLAB file (.mat), the text contains the arrays; for a
+    Parquet file (.parquet), the columns of numbers. For recordings (MDF4, .mf4, and MCAP, .mcap), the text contains the
+    channels.
 
     Raises:
         InputError: the package for spreadsheets is not installed, or the file is too large. The error is also raised if several
@@ -335,7 +336,7 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
     Args:
         text: text of the whole file.
         give: description of the content that the file must have, for messages.
-        separator: separator from `SEPARATORS`; empty to detect the separator in that line.
+        separator: separator from `SEPARATORS`; empty to detect the separator in the first line of the table.
         column: number of the column in which the first line must have a number, counted from 0.
 
     Raises:
@@ -358,7 +359,9 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
 
 
 def _split(line: str, separator: str) -> tuple[str, list[str]]:
-    """Returns the separator of a line, and the cells without comments. If `separator` is empty, the separator is detected."""
+    """Returns the separator of a line, and the cells of the line without comments. If `separator` is empty, the separator is
+    detected.
+    """
     numbers = _without_comment(line)
     marks = [SEPARATORS[separator]] if separator else [mark for mark in SEPARATORS.values() if mark in numbers] or [" "]
     splits = {mark: _trim_cells(_cells(numbers, mark)) for mark in marks}

@@ -62,7 +62,7 @@ def unit_named(text: str) -> str:
 def quantity(text: str, unit: str, what: str = "") -> float:
     """Converts a number with its unit, such as `70 mm` or `8Hz`, to another unit.
 
-    A number without a unit is already in the unit of the result.
+    A number without a unit is assumed to be in the unit of the result.
 
     Args:
         text: the number, with or without a unit.
@@ -152,7 +152,7 @@ def _size(unit: str) -> tuple[Fraction, tuple[int, ...]] | None:
 
 
 def _unit(name: str) -> tuple[Fraction, tuple[int, ...]] | None:
-    """Returns size and powers of a unit that is not a product, as `_size` does."""
+    """Returns the factor to SI units and the powers of a unit that is not a product of units, as `_size` does."""
     usual = unit_named(name)
     for powers, sizes in SIZES.items():
         for known in (name, usual):

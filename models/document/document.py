@@ -3,8 +3,8 @@
 A document can be written as text, as a page, as CSV and as notebook output.
 
 Every study has a function `describe` that returns the document of its result. A command prints the document
-(`models.document.text`). A report is a page of many documents (`models.document.page`), so commands and reports have the same
-words and digits.
+(`models.document.text`). A report is a page of many documents (`models.document.page`), so the same result has the same words
+and digits in commands and in reports.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -70,7 +70,7 @@ class Table:
         words: number of left-aligned text columns. Other columns are right-aligned numbers, except a last column `NOTE`.
         pivot: short form of the table for a page; None to show all columns whose cells differ.
         detail: lowest level of detail at which the table is shown.
-        wide: headings of columns for which a terminal has no room.
+        wide: headings of columns that are omitted on a terminal, because a terminal has no room for them.
         keys: keys of the columns in JSON; empty if the keys are the headings.
     """
 
@@ -99,7 +99,7 @@ class Table:
         pivot: Pivot | None = None,
         detail: Detail = "normal",
     ) -> "Table":
-        """Returns a table with a row for each result. Fields of detail "full" are columns only in pages and files."""
+        """Returns a table with a row for each result. Fields with the detail "full" become columns only in pages and files."""
         wide = tuple(field.title for field in fields if field.detail == "full")
         renamed = any(field.column for field in fields)
         keys = tuple(field.column or field.title for field in fields) if renamed else ()

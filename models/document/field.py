@@ -24,7 +24,7 @@ class Field(Generic[Of]):
     Attributes:
         label: name of the quantity.
         value: function that takes a result and returns a text, or a number in SI units.
-        form: format of a number, or a function that formats it.
+        form: format of the number, or a function that formats the number.
         scale: factor from SI units to `unit`.
         key: key in JSON, for the value in SI units; empty to omit the quantity in JSON.
         unit: unit in which the quantity is written; empty for a quantity without a unit, or if `form` writes the unit.
@@ -97,7 +97,7 @@ def _value(get: "Field[T] | Value[T]", one: T) -> Any:
 class Record(Generic[T]):
     """JSON object of a result: values by key.
 
-    A record is called with the result, so one record can be a value in another record.
+    A record is a function of the result, so one record can be a value in another record.
 
     None represents an infinite or missing number, and [real, imaginary] a complex number. An array becomes a list, and a
     dataclass becomes an object.
@@ -145,7 +145,9 @@ OMITTED_KEY: Any = object()
 
 
 def if_any(get: Callable[[T], Any]) -> Callable[[T], Any]:
-    """Returns a function for use as a value in a record; if its result is None or empty, the record omits the key."""
+    """Returns a function for use as a value in a record; if the function returns None or an empty value, the record omits the
+    key.
+    """
 
     def value(one: T) -> Any:
         found = get(one)

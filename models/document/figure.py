@@ -65,12 +65,13 @@ def rgb(color: str) -> tuple[int, int, int]:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A line, points, or both. A curve without points is only an entry of the legend.
+    """Curve in a panel: a line, points, or both. A curve without points is only an entry of the legend.
 
     Attributes:
         x: horizontal values, shape (N,).
         y: vertical values, shape (N,). NaN interrupts the line.
-        label: name in the legend; curves with equal labels share an entry. An empty label means no entry.
+        label: name in the legend; curves with equal labels share an entry. A curve with an empty label has no entry in the
+            legend.
         name: name in the text alternative; by default, the label.
         color: colour as `#rrggbb`.
         dash: dash pattern of the line.
@@ -99,7 +100,7 @@ class Classes:
         y: vertical centres of the cells, equidistant, shape (M,).
         kind: index of each cell's class, shape (M, N).
         colors: colours of the classes.
-        names: names of the classes; the legend contains the classes that occur.
+        names: names of the classes; the legend contains only the classes that occur in the grid.
     """
 
     x: Array
@@ -116,7 +117,7 @@ class Classes:
 
     @property
     def labels(self) -> list[tuple[str, int, int]]:
-        """Name of every class that has room for its name, with row and column of the innermost cell of the class."""
+        """Name of every class whose area has room for the name, with the row and column of the innermost cell of the class."""
         entries = []
         for i, name in enumerate(self.names):
             inside, depth, at = self.kind == i, 0, (0, 0)
@@ -168,7 +169,7 @@ class Spans:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Pair of axes with curves.
+    """Panel of a figure: a pair of axes with curves.
 
     Attributes:
         title: title above the axes; may have two lines.
@@ -199,7 +200,7 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """Panels that belong together.
+    """Figure: several panels that belong together.
 
     Attributes:
         name: name of the figure's file, without suffix.
@@ -226,7 +227,7 @@ class Entry(NamedTuple):
         width: width of the line [points].
         marker: marker of the points; may be empty.
         filled: True for filled markers.
-        ground: True for an area of a map.
+        ground: True if the entry explains the colour of an area in a map.
     """
 
     label: str

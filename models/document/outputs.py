@@ -28,7 +28,7 @@ OF_FIGURES = (*SUFFIXES, ".csv")
 
 
 def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str] = (), json: bool = False) -> None:
-    """Checks that all outputs can be written, to different files. Leaves nothing behind.
+    """Checks that all outputs can be written, each to a file of its own. Leaves nothing behind.
 
     Args:
         outputs: paths by type of output (csv, picture, report, save, vehicle, logs or figures); None for outputs that are not

@@ -44,7 +44,7 @@ MARKS: dict[State, str] = {"holds": "✓", "ends": "!", "fails": "✗"}
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Report on one page.
+    """Report as one HTML page.
 
     Attributes:
         title: title of the page.

@@ -100,7 +100,7 @@ class _Sheet:
         self.canvas = Canvas(figsize=(width / 72, height / 72), dpi=72)
 
     def box(self, left: float, top: float, width: float, height: float) -> tuple[float, float, float, float]:
-        """Returns a rectangle as fractions of the figure's width and height, measured from its lower left corner."""
+        """Returns a rectangle as fractions of the figure's width and height, measured from the lower left corner of the figure."""
         return left / self.width, 1 - (top + height) / self.height, width / self.width, height / self.height
 
     def write(self, x: float, y: float, text: str, **style: Any) -> None:
@@ -114,7 +114,7 @@ class _Sheet:
             self.write(x, y + LINE * k, line, weight=weight)
 
     def lines(self, lines: Sequence[Sequence[tuple[float, float]]], opacity: float) -> None:
-        """Draws lines behind everything else."""
+        """Draws lines behind all other elements of the figure."""
         from matplotlib.collections import LineCollection
 
         places = [np.array([0, 1]) + np.array([1, -1]) * np.array(line) / (self.width, self.height) for line in lines]
@@ -264,7 +264,7 @@ def _draw_bars(sheet: _Sheet, bars: Bars, label: str, left: float, top: float) -
 
 
 def _draw_ground(axis: Any, ground: Classes | Bars | Spans | None) -> None:
-    """Draws the layer below the curves."""
+    """Draws the cells, bars or shaded intervals that are below the curves."""
     if isinstance(ground, Classes):
         from matplotlib.patches import PathPatch
 

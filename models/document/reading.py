@@ -37,7 +37,7 @@ class Reading:
 
     Attributes:
         headings: headings of the columns whose cells differ between rows.
-        rows: cells of these columns.
+        rows: cells of the columns in `headings`.
         words: number of left-aligned columns.
         same: columns whose cells are equal in all rows, as `heading: value`.
         notes: repeated remarks, with their footnote marks.

@@ -32,7 +32,7 @@ class Strut:
     """A wheel with its suspension and its tyre.
 
     Attributes:
-        place: position along the view [m].
+        place: horizontal position of the wheel in the view [m].
         name: name of the wheel; empty for a single wheel.
         parts: springs, dampers and actuators between body and wheel, or between body and road.
         mass: symbol of the wheel's mass; empty if there is no wheel, and `parts` touch the road.
@@ -75,7 +75,9 @@ class View:
 
     @property
     def middles(self) -> list[float]:
-        """Horizontal positions of the struts in the drawing, in proportion to their places, without overlap."""
+        """Horizontal positions of the struts in the drawing, proportional to their places, with a scale at which no struts
+        overlap.
+        """
         pairs = list(itertools.pairwise(self.struts))
         scale = max(((one.half + other.half + GAP) / (other.place - one.place) for one, other in pairs), default=0.0)
         first = self.struts[0]
@@ -103,7 +105,7 @@ class Sketch:
 
     @property
     def single(self) -> "tuple[Sketch, ...]":
-        """Every view as a separate sketch, so that they can be placed side by side if there is room."""
+        """Every view as a separate sketch, so that a page can place the sketches side by side if there is room."""
         return tuple(replace(self, views=(view,)) for view in self.views)
 
 
@@ -117,8 +119,8 @@ def sketch_svg(sketch: Sketch, road: Callable[[float], float] | None = None, alo
 
     Args:
         sketch: sketch to draw.
-        road: function from the place along the view [m] to the height of the road in the drawing, positive upwards; None for a
-            flat road.
+        road: function from the horizontal position in the view [m] to the height of the road in the drawing, positive upwards;
+            None for a flat road.
         alone: True for a separate file, with dark lines on white.
     """
     above = ABOVE * any(view.seat is not None for view in sketch.views)

@@ -51,8 +51,8 @@ def text_lines(document: Document, detail: Detail = "normal") -> list[str]:
 def screen_lines(document: Document, verbose: bool, others: Iterable[str] = ()) -> list[str]:
     """Returns the lines of a document at a level of detail that suits the terminal.
 
-    If `verbose`, all lines are returned. Otherwise, the function returns the normal lines, or the brief lines if a terminal has
-    no room for the normal lines.
+    If `verbose` is True, the function returns all lines. If `verbose` is False, it returns the normal lines, or the brief lines
+    if a terminal has no room for the normal lines.
 
     Args:
         document: document whose lines are returned.
@@ -134,7 +134,7 @@ def markdown(document: Document, level: int = 2) -> str:
 class ShownResult:
     """Base class of results that a Python prompt shows as text, and a notebook as HTML.
 
-    A dataclass of this type must set `repr=False`.
+    A dataclass that is derived from this class must set `repr=False`.
     """
 
     @property

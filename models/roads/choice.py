@@ -28,7 +28,7 @@ RPC = "; RPC III files (.rsp, .drv) cannot be read, so export their channels as 
 
 @dataclass(frozen=True, eq=False)
 class RoadChoice:
-    """Chosen road, before speed, seed and vehicle are known.
+    """Road that a user has chosen, before speed, seed and vehicle are known.
 
     Attributes:
         text: text by which the road was chosen.
@@ -47,9 +47,9 @@ class RoadChoice:
 
     @property
     def stationary(self) -> bool:
-        """True if the response becomes stationary.
+        """True if the vehicle's response to the road becomes stationary.
 
-        For these roads, measurement starts after the transient response has decayed.
+        If the response becomes stationary, measurement starts after the transient response has decayed.
         """
         return self.random and not self.loads
 
@@ -71,7 +71,7 @@ class RoadChoice:
             The road, including its loads.
 
         Raises:
-            InputError: a number is not allowed.
+            InputError: a number of the road, such as its height or speed, is not allowed.
         """
         road = self.road
         if isinstance(road, Iso8608):
@@ -87,7 +87,7 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     """Reads a road from a text, such as "bump:height=0.05" or "road.csv".
 
     Args:
-        text: name of a road with numbers, or name of a file. Loads follow after " + ". Examples: `iso8608:class=C`,
+        text: name of a road and its numbers, or name of a file. Loads follow after " + ". Examples: `iso8608:class=C`,
             `profile.csv`, `rig:file=drive.csv`, `bump + brake:g=0.3`.
         folder: folder to which file names are relative.
 

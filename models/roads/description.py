@@ -44,7 +44,7 @@ def read_road(where: str, table: Mapping[str, Any]) -> DescribedRoad:
 
 
 def described_road(description: Mapping[str, Any], points: bytes | None = None) -> Road:
-    """Returns the road that a description specifies. This is the inverse of `Road.describe`.
+    """Returns the road that a description specifies. The function is the inverse of `Road.describe`.
 
     Args:
         description: result of `Road.describe`, possibly after conversion to JSON and back.

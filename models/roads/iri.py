@@ -8,7 +8,7 @@ over 250 mm, so the slope is constant between samples:
     s_i = (h_(i+b) - h_i) / (b step),    b step = 250 mm, b at least 1.
 
 The car starts in steady motion along the mean slope of the first 11 m. The IRI is the mean rectified slope of the car's
-suspension, |z_s' - z_u'| / V. For slopes that are constant between samples, the state transition is exact. The transition is
+suspension, |z_s' - z_u'| / V. Because the slope is constant between samples, the state transition is exact. The transition is
 computed in the modal coordinates of the car.
 
 A profile with evenly spaced points is used unchanged; any other road is sampled every 25 mm. A vehicle with two tracks has an
@@ -66,7 +66,8 @@ def roughness_index(heights: Array, step: float) -> float:
 
 
 def suspension_slopes(heights: Array, step: float) -> Array:
-    """Returns the suspension slope (z_s' - z_u') / V after every sample [-], shape (P - b,), for an average over b samples.
+    """Returns the suspension slope (z_s' - z_u') / V after every sample [-], shape (P - b,), if the tyre averages the heights
+    over b samples.
 
     Args:
         heights: heights of one track [m], shape (P,).
@@ -96,8 +97,8 @@ def slope_response(n: Array, step: float) -> Array:
 
 
 def missing(lines: Array, variances: Array) -> Array:
-    """Returns the deficit of the rms of `suspension_slopes` after the start: how much it is below its final value, accumulated
-    over the distance.
+    """Returns how far the rms of `suspension_slopes` is below its final value after the start (the deficit), accumulated over
+    the distance.
 
     The deficit is relative to the final value, and is given every 250 mm. The response to a sinusoid is the steady-state
     response plus a transient in each mode of the car. Sinusoids and places are evenly spaced, so the sum of the products of
@@ -106,10 +107,10 @@ def missing(lines: Array, variances: Array) -> Array:
     Args:
         lines: spatial frequencies of a random road in multiples of 1 / `COUNTED_LINES` cycle/m, ascending positive integers,
             shape (F,).
-        variances: variance of the road's slope at each frequency, shape (F,).
+        variances: variance of the road's slope at each spatial frequency, shape (F,).
 
     Returns:
-        Accumulated deficit [m], one value every 250 mm.
+        Accumulated deficit of the rms [m], with one value every 250 mm.
     """
     rates, of_slopes, of_start = _modes(STEP)
     base, first, way = _samples(STEP), round(START / STEP), 2j * np.pi * lines / COUNTED_LINES
@@ -141,7 +142,7 @@ def _samples(step: float) -> int:
 
 @lru_cache(maxsize=16)
 def _modes(step: float) -> tuple[Array, Array, Array]:
-    """Returns the modes of the car for samples with the distance `step`.
+    """Returns the modes of the golden car for a profile that is sampled every `step` metres.
 
     Returns:
         Rate of each mode per sample, and the factors of the mode in the response to a slope and in the response to the start.
@@ -155,9 +156,10 @@ def _modes(step: float) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=4)
 def _answers(step: float, count: int) -> tuple[Array, Array, int]:
-    """Returns the Fourier transform of the response to a slope, the response to the start, and the size of the transform.
+    """Returns the Fourier transform of the response to a slope, the response to the initial state, and the length of the
+    transform.
 
-    The response to the start is truncated at `FORGOTTEN`. This response begins before the first sample. The result is cached,
+    The response to the initial state begins before the first sample, and is truncated at `FORGOTTEN`. The result is cached,
     because a campaign needs it for every road.
     """
     rates, of_slopes, of_start = _modes(step)
@@ -191,8 +193,9 @@ class Roughness:
     Attributes:
         name: name of the track, `left` or `right`; or `mean` or `half_car` for both tracks.
         iri: roughness index of this road [m/km].
-        expected: mean over all roads with the same spectrum [m/km]; None for a road without a spectrum.
-        spread: standard deviation over these roads [m/km]; None for a road without a spectrum.
+        expected: mean of the IRI over all roads with the spectrum of this road [m/km]; None for a road without a spectrum.
+        spread: standard deviation of the IRI over all roads with the spectrum of this road [m/km]; None for a road without a
+            spectrum.
     """
 
     name: str
@@ -281,9 +284,9 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
     [m].
 
     Unlike a Gaussian signal, a road has sinusoids with fixed amplitudes, so the mean square over its whole length is known. On
-    the left track, this mean square is the same for all roads. On the right track, the share 2 a^2 (1 - a^2) of a sinusoid's
-    mean square varies, where a is the coherency of the tracks. The known share reduces the term with rho^2 in cov(|y|, |y'|),
-    which depends only on y^2. The terms with higher powers of rho remain, because they differ between roads.
+    the left track, the mean square of every sinusoid is the same for all roads. On the right track, the share 2 a^2 (1 - a^2)
+    of a sinusoid's mean square varies, where a is the coherency of the tracks. The known share reduces the term with rho^2 in
+    cov(|y|, |y'|), which depends only on y^2. The terms with higher powers of rho remain, because they differ between roads.
     """
     low, high = (edge / (2 * math.pi * spectrum.speed) for edge in spectrum.band)
     length = min(spectrum.length, GRAIN)

@@ -4,9 +4,9 @@ The vertical displacement of a road has the one-sided power spectral density
 
     G_d(n) = G_d(n0) (n / n0)^-w,    n0 = 0.1 cycle/m,    G_d(n0) = 16e-6, 64e-6, ..., 4^i 16e-6 m^3 for A, B, ..., H.
 
-These values are the geometric means of the classes. The limits of a class are half and twice its mean; A/B denotes the limit
-between A and B. The waviness w is 2 in the standard. Instead of a class, G_d(n0) itself or the International Roughness Index
-(IRI) may be given. If the IRI is given, G_d(n0) is that of roads with this mean IRI.
+The values of G_d(n0) are the geometric means of the classes. The limits of a class are half and twice its mean; A/B denotes the
+limit between A and B. The waviness w is 2 in the standard. Instead of a class, G_d(n0) itself or the International Roughness
+Index (IRI) may be given. If the IRI is given, G_d(n0) has the value at which the mean IRI of the roads is the given IRI.
 
 A road is a sum of sinusoids with the frequencies n_k = k / length, the amplitudes sqrt(2 G_d(n_k) / length) and random phases.
 By default, the band is 0.01 to 10 cycle/m; the standard reports 0.011 to 2.83 cycle/m. Sinusoids below the band would be hills.
@@ -151,7 +151,7 @@ class Iso8608(Section, Road):
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the sum of the sinusoids minus their sum at the start [m].
 
-        A vehicle with one track drives on the left track.
+        A vehicle with one track drives on the left track of the road.
         """
         return np.where(t >= 0, self._sum(side, False, t) - np.real(self._lines(side, False)).sum(), 0.0)
 
@@ -204,7 +204,7 @@ class Iso8608(Section, Road):
 
     @property
     def _rough(self) -> dict[str, float | str | None]:
-        """The three possible measures of roughness, by name. Only one of the three has a value."""
+        """The three possible measures of roughness, by name. Only one of the three measures has a value."""
         return {"class": self.road_class or None, "iri": self.iri, "gd": self.gd}
 
     @property

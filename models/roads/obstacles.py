@@ -109,7 +109,7 @@ class Step(Obstacle):
         return self.height / 2 * (1 - np.cos(np.pi * np.clip((t - self.start) / self.rise, 0, 1)))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative [m/s], without the impulse of a vertical edge."""
+        """Returns the time derivative of the height [m/s], without the impulse of a vertical edge."""
         if not self.edge:
             return np.zeros(np.shape(t))
         return self.height * np.pi / (2 * self.rise) * np.sin(np.pi * np.clip((t - self.start) / self.rise, 0, 1))
@@ -125,13 +125,13 @@ class Step(Obstacle):
         return () if self.edge else ((self.start, self.height),)
 
     def describe(self) -> dict[str, float | str]:
-        """Returns the height, edge and speed, and also the start if it is not 0."""
+        """Returns a description with height, edge and speed, and also with the start if the start is not 0."""
         return {"type": "step", **{name: value for name, value in asdict(self).items() if name != "start" or value}}
 
 
 @dataclass(frozen=True)
 class Pothole(Obstacle):
-    """Pothole: a step down and a step up again, under one side or both.
+    """Pothole: a step down and a step up again, under the wheels of one side or of both sides.
 
     Raises:
         InputError: a number is out of its range, or the edges are longer than the pothole.
@@ -200,14 +200,14 @@ class Flat(Obstacle):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Empty, because the road has no kinks."""
+        """Empty, because a flat road has no kinks."""
         return ()
 
 
 def _check_half(road: WattsHump | Pothole, other: str, low: float, least: str) -> None:
-    """Checks that a number is at most half of the length.
+    """Checks that a number, such as the height, is at most half of the obstacle's length.
 
-    If the number has its default value, the message is about the length.
+    If the number has its default value, the error message is about the length instead.
     """
     usual, value = getattr(type(road), other), getattr(road, other)
     if value == usual and road.length < 2 * usual:

@@ -42,7 +42,7 @@ class Surface:
             start: distance at which the road starts [m].
 
         Raises:
-            InputError: the surface does not contain this distance.
+            InputError: the surface does not contain the distance `start`.
         """
         u, z = begun_at(start, self.u, self.z)
         return replace(self, u=u, z=z)
@@ -100,7 +100,7 @@ def read_surface(path: Path) -> Surface:
 
 
 def _check_whole(header: str, u: Array, width: int, channels: int, last: int) -> None:
-    """Raises InputError if the file is incomplete. PyOpenCRG may read such a file as a shorter or stretched road.
+    """Raises InputError if the file is incomplete. PyOpenCRG may read an incomplete file as a shorter or stretched road.
 
     Args:
         header: text of the header: its entries, and the definitions of channels whose values are not in the data.

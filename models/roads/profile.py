@@ -45,7 +45,8 @@ class Profile(MeasuredRoad):
 
     Attributes:
         distance: distances of the points [m], ascending, shape (P,).
-        heights: heights of the left and the right track [m], shape (P, 2). A vehicle with one track drives on the left track.
+        heights: heights of the left and the right track [m], shape (P, 2). A vehicle with one track drives on the left track of
+            the road.
         speed: vehicle speed V [m/s].
         source: name of the file.
         join: "straight" to join the points by lines, or "smooth" to join them by a cubic spline.
@@ -244,7 +245,7 @@ def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Arra
         heights: heights of the points [m], shape (P, K).
 
     Raises:
-        InputError: the road does not contain this distance.
+        InputError: the road does not contain the distance `start`.
     """
     rest = distance > start
     if not distance[0] <= start < distance[-1]:
@@ -287,7 +288,7 @@ def check_ascending(
         smooth: True for a spline.
 
     Raises:
-        InputError: the points do not satisfy these conditions.
+        InputError: there are too few points, a point is not finite or not ascending, or a spline has a gap.
     """
     fewest = FEWEST if smooth else 2
     if len(x) < fewest:

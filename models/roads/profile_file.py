@@ -4,8 +4,8 @@ ERD is the format of the University of Michigan Transportation Research Institut
 profiles. An ERD file has a header of keywords, then heights at a constant step, for one or two tracks.
 
 RDF files contain roads for tyre models in Adams and MotionView. RDF files of the type `poly_line` have a table of the distance
-and of the heights of the left and right track. On these roads, vehicles start at distance 0, which is not always the first
-distance in the table.
+and of the heights of the left and right track. On `poly_line` roads, vehicles start at distance 0, which is not always the
+first distance in the table.
 
 Surveys have two horizontal coordinates of each point, on a map or as latitude and longitude, in driving order. The distance is
 the length of the path in the horizontal plane. Steps in degrees are converted to metres with the radii of curvature of the
@@ -264,7 +264,7 @@ def rdf_text(text: str) -> str:
 def _coordinates(headings: Sequence[Heading], wanted: Sequence[int]) -> Sequence[int]:
     """Returns the columns of two horizontal coordinates, east and north, counted from 0.
 
-    The result is empty if the table lacks one of these columns or has no column of height.
+    The result is empty if the table lacks a column of either coordinate or of height.
     """
     if len(wanted) == 2 or not (wanted or {"height", "left", "right"} & {one.quantity for one in headings}):
         return []
@@ -280,7 +280,7 @@ def _in_degrees(headings: Sequence[Heading]) -> bool:
 
 
 def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: bool) -> tuple[Array, str]:
-    """Returns the length of a path up to each point [m], shape (P,), and a warning.
+    """Returns the length of a surveyed path up to each of its points [m], shape (P,), and a warning.
 
     Args:
         table: table of numbers in the file, which contains the columns.

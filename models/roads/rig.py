@@ -146,7 +146,7 @@ class Rig(MeasuredRoad):
 def post_name(text: str) -> str:
     """Returns the normal form of a column's name.
 
-    In this form, `Front Left`, `LF` and `road_displacement_front_left` are equal.
+    In its normal form, `Front Left`, `LF` and `road_displacement_front_left` are equal.
     """
     name = "_".join(text.lower().replace("-", " ").replace("_", " ").split())
     return CORNERS.get(name, name)

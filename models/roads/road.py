@@ -103,7 +103,8 @@ class Road(ABC):
         return np.zeros((len(t), len(vehicle.kind.loads)))
 
     def held_loads(self, vehicle: Vehicle, t: Array, timestep: float) -> Array:
-        """Returns the loads that MuJoCo holds over time steps, shape (T, l); by default, the loads in the middle of each step.
+        """Returns the loads that MuJoCo holds constant during each time step, shape (T, l); by default, the loads in the middle
+        of the step.
 
         Args:
             vehicle: the vehicle, with l loads.
@@ -114,17 +115,18 @@ class Road(ABC):
 
     @abstractmethod
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height under the first wheel of a side [m] at times t [s], same shape.
+        """Returns the height under the first wheel of a side [m] at times t [s], same shape as t.
 
         See `Wheel.side` and `track_of`.
         """
 
     def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
-        """Returns the height that MuJoCo holds over time steps [m], same shape as t.
+        """Returns the height that MuJoCo holds constant during each time step [m], same shape as t.
 
-        By default, this is the height in the middle of each step.
+        By default, MuJoCo holds the height in the middle of the step.
 
-        A measured road may have several points within a step. MuJoCo therefore holds its mean height over the step.
+        A measured road may have several points within a step. For a measured road, MuJoCo therefore holds the mean height over
+        the step.
 
         Args:
             t: middle times of the steps [s].
@@ -135,7 +137,7 @@ class Road(ABC):
 
     @abstractmethod
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative of `displacement` [m/s] at times t [s], same shape."""
+        """Returns the time derivative of `displacement` [m/s] at times t [s], same shape as t."""
 
     @abstractmethod
     def scaled(self, factor: float) -> "Road":
@@ -144,7 +146,9 @@ class Road(ABC):
     @property
     @abstractmethod
     def kinks(self) -> tuple[float, ...]:
-        """Times [s] at which `velocity` or one of its derivatives jumps. An integration must not step across these times."""
+        """Times [s] at which `velocity` or one of its derivatives jumps. A numerical integration must begin a new step at every
+        jump.
+        """
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:
@@ -296,11 +300,11 @@ class MeasuredRoad(Road):
 
     @abstractmethod
     def departure(self, t: Array, side: str = "") -> Array:
-        """Returns the height of the road above the steady motion [m] at times t [s], same shape; 0 up to time 0."""
+        """Returns the height of the road above the steady motion [m] at times t [s], same shape as t; 0 up to time 0."""
 
     @abstractmethod
     def departure_rate(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative of `departure` [m/s] at times t [s], same shape."""
+        """Returns the time derivative of `departure` [m/s] at times t [s], same shape as t."""
 
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the height above the datum [m]."""
@@ -314,7 +318,9 @@ class MeasuredRoad(Road):
     @property
     @abstractmethod
     def knots(self) -> Array:
-        """Times of the points [s], ascending. Between two points, `departure` is a straight line or a cubic polynomial."""
+        """Times of the road's measured points [s], ascending. Between two points, `departure` is a straight line or a cubic
+        polynomial.
+        """
 
     @property
     def kinks(self) -> tuple[float, ...]:
@@ -325,7 +331,7 @@ class MeasuredRoad(Road):
         return tuple(self.knots.tolist())
 
     def mean_departure(self, t: Array, timestep: float, side: str = "") -> Array:
-        """Returns the mean of `departure` over time steps [m], exact except for rounding errors.
+        """Returns the mean of `departure` over each time step [m], exact except for rounding errors.
 
         Args:
             t: middle times of the steps [s].
@@ -359,7 +365,7 @@ class ScaledRoad(DerivedRoad):
     """Road whose heights are multiplied by a factor.
 
     Attributes:
-        factor: factor on the heights.
+        factor: number by which the heights are multiplied.
     """
 
     factor: float
@@ -374,7 +380,7 @@ class ScaledRoad(DerivedRoad):
         return self.factor * self.road.displacement(t, side)
 
     def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
-        """Returns the heights that MuJoCo holds over time steps, multiplied by the factor [m]."""
+        """Returns the heights that MuJoCo holds constant during each time step, multiplied by the factor [m]."""
         return self.factor * self.road.held_height(t, timestep, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
@@ -477,8 +483,8 @@ class RoadInput:
         vehicle: vehicle with r wheels and l loads on its body.
         road: road that excites the vehicle.
         time: equidistant sample times [s], shape (T,).
-        earlier: True to repeat a run of an earlier version. In these runs, the signals at a sample used the load of the step
-            that begins at the sample, and vertical edges had only one side.
+        earlier: True to repeat a run of an earlier version. In the earlier version, signals at a sample used the load of the
+            step that begins at the sample, and vertical edges had only one side.
     """
 
     vehicle: Vehicle
@@ -498,7 +504,9 @@ class RoadInput:
 
     @property
     def has_held_inputs(self) -> bool:
-        """True if inputs other than road heights are held over time steps: loads, or road velocities if tyres have damping."""
+        """True if inputs other than road heights are held constant during each time step: loads, or road velocities if tyres
+        have damping.
+        """
         return self.loaded or self.vehicle.linear_model.tyres_damp
 
     @cached_property
@@ -540,11 +548,11 @@ class RoadInput:
 
     @cached_property
     def midway(self) -> Array:
-        """Heights at which MuJoCo holds the road over the steps that begin at the samples [m], shape (T, r)."""
+        """Heights at which MuJoCo holds the road during the steps that begin at the samples [m], shape (T, r)."""
         return self.held_heights(self.time + self.timestep / 2)
 
     def held_heights(self, middle: Array) -> Array:
-        """Returns the heights [m] at which MuJoCo holds the road over steps with given middle times [s], shape (T, r)."""
+        """Returns the heights [m] at which MuJoCo holds the road during steps with the middle times t [s], shape (T, r)."""
         return under_wheels(
             lambda t, side: self.relative_road.held_height(t, self.timestep, side), self.relative_road, self.vehicle, middle
         )
@@ -561,14 +569,14 @@ class RoadInput:
 
     @cached_property
     def held_loads(self) -> Array:
-        """Loads that MuJoCo holds over the steps that begin at the samples [N, N m], shape (T, l)."""
+        """Loads that MuJoCo holds constant during the steps that begin at the samples [N, N m], shape (T, l)."""
         return self.road.held_loads(self.vehicle, self.time + self.timestep / 2, self.timestep)
 
     @cached_property
     def held_velocities(self) -> Array:
         """Mean rates of change of the heights over the time steps that begin at the samples [m/s], shape (T, r).
 
-        MuJoCo holds these velocities over the steps.
+        During each time step, MuJoCo holds the road velocity constant at its mean.
 
         If the height changes by dz in a step, the tyre damping c therefore gives the impulse c dz, even across a kink or an
         edge.
@@ -578,7 +586,7 @@ class RoadInput:
 
     @cached_property
     def held_inputs(self) -> Array:
-        """All inputs held constant over time steps: loads, and road velocities if tyres have damping.
+        """All inputs that are held constant during each time step: loads, and road velocities if tyres have damping.
 
         The shape is (T, l), or (T, l + r) with tyre damping.
         """
@@ -588,13 +596,15 @@ class RoadInput:
 
     @cached_property
     def in_signals(self) -> Array:
-        """Inputs that act on the signals at the samples: present loads, and held road velocities; same shape as `held_inputs`."""
+        """Inputs that act on the signals at the samples: loads at the samples, and held road velocities; same shape as
+        `held_inputs`.
+        """
         return self.held_inputs if self.earlier else np.hstack([self.loads, self.held_inputs[:, self.loads.shape[1] :]])
 
     @cached_property
     def in_readings(self) -> Array:
-        """Inputs that act on each sample's measurements, before new forces act: present loads, and road velocities before the
-        sample.
+        """Inputs that act on each sample's measurements, before new forces act: loads at the sample, and road velocities before
+        the sample.
         """
         before = np.concatenate([np.zeros_like(self.held_inputs[:1]), self.held_inputs[:-1]])
         return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
@@ -603,9 +613,9 @@ class RoadInput:
         """Returns the vertical edges of the road, by the number of the sample at which each edge acts.
 
         Args:
-            held: True for the road that MuJoCo holds over steps. An edge in the first half of a step acts at the beginning of
-                the step. An edge in the second half acts at the end, where the sample already has the height behind the edge.
-                False to assign each edge to the last sample before it.
+            held: True for the road as MuJoCo holds it constant during each step. An edge in the first half of a step acts at
+                the beginning of the step. An edge in the second half acts at the end, where the sample already has the height
+                behind the edge. False to assign each edge to the last sample before the edge.
         """
         edges: dict[int, Edge] = {}
         for at, wheel, height in jumps_under_wheels(self.road, self.vehicle) if not self.earlier else ():
@@ -617,7 +627,7 @@ class RoadInput:
         return edges
 
     def ahead(self, count: int) -> Array:
-        """Returns the heights under the wheels at `count` additional samples after the last one [m], shape (count, r)."""
+        """Returns the heights under the wheels at `count` additional samples after the last sample [m], shape (count, r)."""
         after = self.time[-1] + self.timestep * np.arange(1, count + 1)
         return under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, after)
 

@@ -101,10 +101,10 @@ def _blocks(t: Array, lines: int) -> list[Array]:
 def chirp(omega: Array, period: float, speed: float) -> Multisine:
     """Returns sinusoids of equal velocity amplitude with Schroeder's phases: a periodic chirp with a low crest factor.
 
-    Source: M. R. Schroeder (1970), IEEE Trans. Inf. Theory 16, 85-89. With these phases, the group delay at a frequency is
-    proportional to the power below this frequency. The sinusoids therefore follow each other over the period. The phases are
-    phi_i = -T sum over l < i of p_l (omega_i - omega_l), where all F sinusoids have the same power p_l = 1/F. Equal velocity
-    amplitudes give white velocity, as on a road of ISO 8608 with w = 2.
+    Source: M. R. Schroeder (1970), IEEE Trans. Inf. Theory 16, 85-89. With Schroeder's phases, the group delay at a frequency
+    is proportional to the power at lower frequencies. The frequencies of the signal are therefore reached one after another
+    during the period. The phases are phi_i = -T sum over l < i of p_l (omega_i - omega_l), where all F sinusoids have the same
+    power p_l = 1/F. Equal velocity amplitudes give white velocity, as on a road of ISO 8608 with w = 2.
 
     Args:
         omega: ascending angular frequencies [rad/s], multiples of 2 pi / period, shape (F,).
@@ -177,7 +177,7 @@ class SineSweep(Obstacle):
 
         z_r = amplitude exp(-k t) sin(2 pi lowest (exp(k t) - 1) / k),    k = ln(highest / lowest) / duration.
 
-    For this reason, the road velocity, which excites the vehicle, has nearly the same amplitude at all frequencies.
+    The road velocity, which excites the vehicle, therefore has nearly the same amplitude at all frequencies.
 
     Raises:
         InputError: a number is out of its range, or the last frequency is not above the first.

@@ -38,7 +38,7 @@ class Spectrum:
         return coherency(omega / (2 * np.pi * self.speed), self.track_width, self.waviness)
 
     def slope(self, omega: Array) -> Array:
-        """Returns the velocity amplitude divided by the amplitude at `N0`, same shape as omega; 1 for waviness 2."""
+        """Returns the amplitude of the road velocity divided by its value at `N0`, same shape as omega; 1 for waviness 2."""
         return slope_power(omega / (2 * np.pi * self.speed), self.waviness) ** 0.5
 
 

@@ -62,7 +62,7 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Giv
 
     @property
     def given(self) -> bool:
-        """True if the section contains the numbers of a linear law."""
+        """True if the section contains the numbers of a linear law: a gain, matrices, or PID gains."""
         return self.gain is not None or self.A is not None or (self.pid is not None and self.structure not in PATTERNS)
 
     @property
@@ -72,7 +72,7 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Giv
         return WeightedErrors(weights) if weights else None
 
     def linear_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
-        """Returns the linear law in the section, or None if the section has no numbers."""
+        """Returns the linear law in the section; None if the section does not contain the numbers of a linear law."""
         if self.gain is not None:
             return super().linear_law(measured, corners)
         if self.A is None:

@@ -39,13 +39,13 @@ PUSHING_ACTUATORS = "force"  # value of the key `actuators` in a controller's se
 class DesignConditions:
     """Sensor noise, actuator lag and loads for which a controller is designed and certified.
 
-    By default, a design uses none of these.
+    By default, a design assumes exact measurements, actuators without lag, and no loads.
 
     Attributes:
         noise: rms noise of each measured signal, in the unit of the signal; empty for exact measurements.
         bandwidth: corner frequency of the first-order lag of every actuator [rad/s]; None for actuators without lag.
-        loads: loads on the body as additional disturbances, by name. Each value is the load that has the same weight in a
-            design as 1 m/s of the disturbance w [N, N m].
+        loads: loads on the body as additional disturbances, by name. Each value [N, N m] is the load to which a design gives
+            the same weight as to a disturbance w of 1 m/s.
     """
 
     public_name = "design conditions, such as vehicle.hardware(name) returns"
@@ -72,7 +72,8 @@ class ControllerEntry:
         name: name of the controller.
         measured: names of the q measured signals.
         source: source of the control law: a `LinearLaw`, a `DesignRequest`, a `PythonLaw` or a `SemiActiveLaw`.
-        certificate: certificate of a given law, as written by `roadproof synth --save`; None without a certificate.
+        certificate: certificate of a law whose numbers are in the file, as written by `roadproof synth --save`; None without a
+            certificate.
         hardware: sensor noise, actuator lag and loads for which the controller is designed and certified.
         goals: goals for the design or evaluation of a gain; None for a design that minimises the norm.
         errors: uncertainties of measurements and forces with a frequency-dependent weight; None if there are none.
@@ -188,7 +189,9 @@ ROWS = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}
 
 @dataclass(frozen=True, kw_only=True)
 class SignalSection(Demands):
-    """Keys with the measured signals. The other keys of a controller's section refer to these signals."""
+    """Keys that list the measured signals of a controller. The other keys of a controller's section refer to its measured
+    signals.
+    """
 
     study: Annotated[bool, Flag("for a study: the law measures heights above a flat datum, which no sensor measures")] = False
     measured: Annotated[tuple[str, ...], ReadBy("signals that the controller measures", _measured_signals, allowed=NAMES)] = ()
@@ -196,9 +199,9 @@ class SignalSection(Demands):
 
 @dataclass(frozen=True, kw_only=True)
 class GivenSection(SignalSection):
-    """Keys of `[controllers.NAME]` for a static gain that is given or designed in two steps.
+    """Keys of `[controllers.NAME]` for a static gain that the file contains, or that is designed in two steps.
 
-    `ControllerSection` has these and all other keys.
+    `ControllerSection` also has all other keys.
     """
 
     # Only other types of control laws have values for these keys and properties
@@ -224,11 +227,11 @@ class GivenSection(SignalSection):
 
     @property
     def given(self) -> bool:
-        """True if the section contains the numbers of a linear law."""
+        """True if the section contains the numbers of a linear law, which are a gain here."""
         return self.gain is not None
 
     def linear_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
-        """Returns the linear law in the section, or None if the section has no numbers.
+        """Returns the linear law in the section; None if the section does not contain the numbers of a linear law.
 
         For the arguments, see `law_structure`.
         """

@@ -1,4 +1,4 @@
-"""JSON schema of vehicle files. With this schema, an editor can complete keys, show their meanings and mark mistakes."""
+"""JSON schema of vehicle files. With the JSON schema, an editor can complete keys, show their meanings and mark mistakes."""
 
 from collections.abc import Iterable
 from typing import Any

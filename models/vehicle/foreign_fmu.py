@@ -3,7 +3,7 @@
 A vehicle file names an FMU with `fmu = "their.fmu"`. The inputs of the FMU have the names and units of the measured signals,
 and its outputs are the control forces. If an FMU has other names, the keys `inputs = { In1 = "suspension_deflection" }` and
 `outputs` assign signals to them. At each sample, the FMU advances by one step, to the time of the next sample. The outputs of
-this step are the forces that are held until the next sample.
+the step are the control forces, which are held until the next sample.
 """
 
 import hashlib
@@ -31,7 +31,7 @@ def law_of(file: str, sha256: str, names: Mapping[str, str]) -> Callable[[Sample
     Args:
         file: path of the FMU.
         sha256: checksum that the file must have.
-        names: signal for each variable of the FMU whose name is not a signal name.
+        names: name of the signal for each variable of the FMU that does not have the name of a signal.
     """
 
     def step(sample: Sample, state: "ForeignFmu | None") -> Any:
@@ -42,7 +42,7 @@ def law_of(file: str, sha256: str, names: Mapping[str, str]) -> Callable[[Sample
 
 
 class ForeignFmu:
-    """Instance of an FMU. Deleting this object terminates the FMU."""
+    """Instance of an FMU. When this object is deleted, the FMU is terminated."""
 
     def __init__(self, file: Path, sha256: str, sample: Sample, names: Mapping[str, str]) -> None:
         """Starts the FMU and initialises it with the first sample.
@@ -156,6 +156,6 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
 
 
 def _plain(unit: str) -> str:
-    """Returns a unit in the notation of the signals."""
+    """Returns a unit in the notation that the units of signals have."""
     plain = unit.replace("²", "2").replace("**", "").replace("^", "").replace("*", " ").replace(".", " ")
     return {"m s-1": "m/s", "m s-2": "m/s2", "rad s-1": "rad/s", "rad s-2": "rad/s2"}.get(plain, plain)

@@ -1,7 +1,7 @@
 """Replacement of file names in a vehicle file by the contents of the files: control laws, vehicle families and tables.
 
-After this replacement, the text of a vehicle is complete: logs, campaigns and saved files contain all numbers, so they can be
-read without other files. A comment in the text gives the source of the numbers.
+After the replacement, the text of a vehicle is complete: logs, campaigns and saved files contain all numbers, so they can be
+    read without other files. A comment in the text gives the source of the numbers.
 
 A TOML file with a family contains only the key `family`, as in a controller's section. A CSV file with a family has a row for
 each vehicle. The header contains names of parameters, and the numbers are factors on these parameters.
@@ -45,7 +45,7 @@ def with_contents(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
 
 
 def with_sections(text: str, lines: Sequence[str]) -> str:
-    """Returns the text of a vehicle file with additional lines that contain sections of controllers.
+    """Returns the text of a vehicle file, to which lines with sections of controllers are added.
 
     Raises:
         InputError: the text has all controllers in one inline table. TOML does not allow additional sections if `controllers`
@@ -69,7 +69,7 @@ def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
         laws: sources of the control laws, by controller.
 
     Raises:
-        InputError: the file of a law is not in the new folder or in a folder below it, as vehicle files require.
+        InputError: the file of a law is not in the new folder or in one of its subfolders, as vehicle files require.
     """
     replacements = []
     for name, law in laws.items():
@@ -82,7 +82,7 @@ def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
 def _entries(data: Mapping[str, Any], key: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yields the name and the section of each controller whose section contains a given key.
 
-    Values that are not sections are skipped, because other readers refuse them.
+    Values that are not sections are skipped, because other functions refuse these values.
     """
     controllers = data.get("controllers")
     for name, entry in controllers.items() if isinstance(controllers, dict) else ():

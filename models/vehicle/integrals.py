@@ -16,7 +16,7 @@ def check_integrals(
     Args:
         entry: controller to check.
         integrals: integrated signals in the output z of the vehicle, by name of the integrator state.
-        heard: sensor noise of the implementation, an rms value by signal.
+        heard: rms value of the implementation's sensor noise, by signal.
         sampled: True if the controllers are designed for the sampled loop.
 
     Raises:

@@ -107,7 +107,7 @@ def _as_matrices(where: str, values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _numbers(name: str, value: Any) -> Array:
-    """Returns a matrix of real finite numbers. The size of the matrix is checked later, when the law is created."""
+    """Returns a matrix of real finite numbers. The size of the matrix is checked later, when the control law is created."""
     if value.dtype.kind in KINDS:
         raise InputError(f"{name} is {KINDS[value.dtype.kind]}, not a matrix of numbers; in MATLAB, call {SAVE}")
     return real_matrix(value, name, np.inf)[0]

@@ -63,7 +63,7 @@ class LimitsSection(StopSection):
 
 @dataclass(frozen=True)
 class Limits(LimitsSection):
-    """Limits of the hardware. None means that a limit does not exist.
+    """Limits of the hardware. An attribute None means that the limit does not exist.
 
     Attributes:
         places: names of axles and corners with different bump stops, each with its section.
@@ -89,7 +89,7 @@ class Limits(LimitsSection):
 
     @property
     def written(self) -> dict[str, str]:
-        """The given limits as text, by key, as in a vehicle file. A value for one side has the key `key.side`."""
+        """The limits that exist, as text by key, in the form of a vehicle file. A value for one side has the key `key.side`."""
         given = {name: value for name, value in vars(self).items() if name != "places"}
         given |= {f"{place}.{key}": getattr(one, key) for place, one in self.places for key in STOP_KEYS}
         flat = dict[str, Any]()
@@ -102,7 +102,7 @@ class Limits(LimitsSection):
     def record(self) -> dict[str, Any]:
         """The limits as a section that `read_limits` accepts. Limits that are not given are None.
 
-        `limit`, `force_rate` and the stop table are omitted if they are not given.
+        If `limit`, `force_rate` or the stop table is not given, the section does not contain this key.
         """
         limits = asdict(self)
         places = {name: {key: one for key, one in place.items() if one is not None} for name, place in limits.pop("places")}
@@ -117,7 +117,7 @@ class Limits(LimitsSection):
 
     @property
     def limits_commands(self) -> bool:
-        """True if commands are limited before the actuator lag, as always with a rate limit."""
+        """True if commands are limited before the actuator lag, which is always the case with a rate limit."""
         return self.actuator_force is not None and (self.limit == "command" or self.force_rate is not None)
 
     @property
@@ -129,7 +129,7 @@ class Limits(LimitsSection):
 
     @property
     def without_actuators(self) -> "Limits":
-        """The limits of the suspensions only."""
+        """The limits of the suspensions, without those of the actuators."""
         return replace(self, actuator_force=None, actuator_bandwidth=None, force_rate=None, limit=None)
 
     def without(self, part: str) -> "Limits":
@@ -161,7 +161,7 @@ def _text(value: Any) -> str:
 
 
 def samples(count: float) -> str:
-    """Returns the given number of samples as text, in the singular if the printed number is 1."""
+    """Returns a number of samples as text, such as "2 samples" or "1 sample"."""
     number = f"{count:g}"
     return f"{number} sample{'s' * (number != '1')}"
 
@@ -382,7 +382,7 @@ def check_period(name: str, period: float | None, implementation: Implementation
         implementation: implementation of the vehicle.
 
     Raises:
-        InputError: the periods differ.
+        InputError: the sample period of the law differs from the sample period of the implementation.
     """
     if period is not None and implementation.sample_period != period:
         raise InputError(

@@ -45,7 +45,7 @@ _quiet_lock, _quiet_users = threading.Lock(), [0]
 def quiet() -> Iterator[None]:
     """Keeps MuJoCo from writing MUJOCO_LOG.TXT.
 
-    The file is not needed, because other checks detect and report the same problems.
+    The file is not needed, because other checks detect and report the problems that MuJoCo writes into the file.
 
     All threads share one warning handler.
     """
@@ -276,7 +276,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     """Refuses a model whose tyres cannot be fully compressed.
 
-    If the road rose above the hub, the tyre in MuJoCo would become longer again.
+    If the road rose above the hub, the tyre in MuJoCo would become longer again instead of shorter.
     """
     kind, data = vehicle.kind, mujoco.MjData(model)
 
@@ -309,7 +309,7 @@ def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
 
 
 def pushed_dofs(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
-    """Returns the degree of freedom on which each load of the vehicle type acts."""
+    """Returns the index of the degree of freedom on which each load of the vehicle type acts."""
     return [int(model.joint(load.joint).dofadr[0]) for load in vehicle.kind.loads]
 
 
@@ -317,7 +317,7 @@ def damped_tyres(vehicle: Vehicle, model: mujoco.MjModel) -> tuple[list[int], li
     """Returns the wheels whose tyres have damping, and their actuators. The road velocity controls these actuators.
 
     Returns:
-        Indices of these wheels, and the index of each wheel's actuator.
+        Indices of the wheels whose tyres have damping, and the index of each wheel's actuator.
     """
     if not vehicle.linear_model.tyres_damp:
         return [], []
@@ -346,8 +346,8 @@ def has_geometry(vehicle: Vehicle) -> bool:
 
     The model is nonlinear for one of three reasons. Masses, weights or lever arms of tendons and actuators may change with the
     position. A spring or damper may be a polynomial. A sensor may measure more than a sum of positions, velocities and
-    accelerations, for example the velocity of a point on a rotating body. For such a sensor, half of a motion does not give
-    half of the measurement. The test prescribes the motion, and ignores the forces that would be needed for it.
+    accelerations, for example the velocity of a point on a rotating body. For a nonlinear sensor, half of a motion does not
+    give half of the measurement. The test prescribes the motion, and ignores the forces that the motion would need.
     """
     model = build_model(replace(vehicle, limits=Limits()), 1e-3, drawn=False)
     if any(map(np.any, (model.jnt_stiffnesspoly, model.dof_dampingpoly, model.tendon_stiffnesspoly, model.tendon_dampingpoly))):

@@ -95,7 +95,7 @@ def is_load_file(text: str) -> bool:
 
 
 def run_without(names: Iterable[str], part: str) -> list[str]:
-    """Returns the controllers whose runs change if a part of the limits or of the implementation is omitted.
+    """Returns the controllers whose runs change if a part of the limits or implementation is omitted.
 
     The run of the passive vehicle changes only if the omitted part is `limits`.
     """

@@ -72,7 +72,9 @@ def _terms(value: Any, context: Mapping[str, Any]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class WeightSection(FilterSection):
-    """Section of a signal or of a sum of signals in `[performance]`. A number instead of a section is the weight."""
+    """Section of a signal or of a sum of signals in `[performance]`. If the key has a number instead of a section, the number
+    is the weight.
+    """
 
     integrates: ClassVar[bool] = True
 
@@ -81,7 +83,7 @@ class WeightSection(FilterSection):
 
     @cached_property
     def shape(self) -> Filter | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The filter; None for a sum with a constant weight."""
+        """The filter of the row; None for a sum with a constant weight."""
         unshaped = self.filter is self.numerator is self.denominator is None
         return None if unshaped and self.sum is not None else super().shape
 

@@ -94,7 +94,7 @@ def _strut(vehicle: Vehicle, wheel: Wheel, place: float, name: str, symbols: dic
 
 
 def _box(how: Implementation) -> tuple[str, ...]:
-    """Returns short lines of text about the computer."""
+    """Returns short lines of text about the computer that runs the controller."""
     period, late, noise = how.sample_period, how.delay, how.noise_text
     lines = [f"every {1e3 * period:g} ms"] if period is not None else []
     lines += [f"{1e3 * late * period:g} ms late" if period is not None else f"{late:g} steps late"] if late else []
@@ -102,7 +102,9 @@ def _box(how: Implementation) -> tuple[str, ...]:
 
 
 def _parameters(vehicle: Vehicle, symbols: dict[str, str]) -> Iterator[tuple[str, str, str]]:
-    """Yields a row for each parameter. A parameter that exists for both axles or both sides has a single row."""
+    """Yields a row (symbol, meaning and value) for each parameter of the vehicle. A parameter that exists for both axles or for
+    both sides has only one row.
+    """
     known, groups = {one.name: one for one in vehicle.kind.parameters}, dict[str, dict[str, str]]()
     for name, value in vehicle.parameters.items():
         if value or known[name].usual != 0:

@@ -1,4 +1,4 @@
-"""Nonlinear suspension forces for simultaneous runs (sums of the forces of all parts), and motion ratios of inputs."""
+"""Nonlinear suspension forces (sums of the forces of all parts) and motion ratios of inputs, for simultaneous runs."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -35,8 +35,8 @@ class SuspensionForces:
             by_motor: True to include only parts that MuJoCo cannot represent with its own elements.
             contacts: False to omit parts that have no effect within the linear range, such as bump stops.
             whole: True to add the linearised forces of the elements of `[parts]`. Linear models contain these forces, but the
-                equations of motion of the vehicle types do not. The rates of internal states are then complete. Otherwise, they
-                are deviations from the linear model.
+                equations of motion of the vehicle types do not. If `whole` is True, the rates of internal states are complete.
+                If `whole` is False, these rates are deviations from the linear model.
         """
         suspensions, inputs = vehicles[0].kind.suspensions, vehicles[0].linear_model.inputs
         rows = [_forces(vehicle, by_motor, whole, contacts) for vehicle in vehicles]
@@ -102,7 +102,9 @@ class SuspensionForces:
         return rates
 
     def _at(self, d: Array, v: Array, inputs: Array, z: Array | None) -> Iterator[tuple[Array | slice, Array, Stack, Any]]:
-        """Yields parts that are evaluated together, with their suspensions, internal states and arguments of the force."""
+        """Yields groups of parts that are evaluated together, each with its suspensions, internal states and the arguments of
+        its forces.
+        """
         for columns, own, kept, parts in self._stacks:
             states = None
             if z is not None and len(kept):
@@ -171,11 +173,11 @@ class MotionRatios:
         return travels
 
     def turn(self, force: str, deflection: Array) -> Array:
-        """Returns the motion ratio of an input relative to the ratio in equilibrium, shape (..., N)."""
+        """Returns the motion ratio of an input divided by the ratio in equilibrium, shape (..., N)."""
         return self.of(force, deflection) / self._at_rest[force]
 
     def turns(self, travels: Array) -> Array:
-        """Returns the motion ratio of every input relative to the ratio in equilibrium, shape (..., N, m).
+        """Returns the motion ratio of every input divided by the ratio in equilibrium, shape (..., N, m).
 
         Args:
             travels: deflections of the suspensions [m], shape (..., N, s).

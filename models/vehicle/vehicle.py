@@ -109,7 +109,7 @@ def in_plane(name: str, plane: str) -> str:
 
 @dataclass(frozen=True)
 class VehicleFile(Section):
-    """The sections of a vehicle file as raw tables. A separate reader reads each section."""
+    """The sections of a vehicle file as tables that have not been checked. A separate reader reads each section."""
 
     type: Annotated[str, Text('vehicle type, above the first section: `type = "quarter_car"`', ', as in type = "quarter_car"')]
     parameters: Annotated[Entries, AnyTable("parameters of the vehicle type, as `roadproof new` writes them")]
@@ -139,7 +139,7 @@ PERSON = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Vehicle(ShownResult):
-    """Vehicle of a vehicle file: vehicle type, parameters, weights, controllers and hardware.
+    """Vehicle that a vehicle file describes: vehicle type, parameters, weights, controllers and hardware.
 
     `read_vehicle` and `parse_vehicle` create vehicles.
 
@@ -149,7 +149,7 @@ class Vehicle(ShownResult):
         performance: weight of each signal in the controlled output z (34).
         controllers: controllers by name, without `passive` and `state`, which always exist.
         text: text of the vehicle file. The matrices of control laws replace the names of the files that contain them, so the
-            text can be stored in logs. Control laws in Python remain file names.
+            text can be stored in logs. For control laws in Python, the text still contains the file names.
         source: path of the file, for messages.
         limits: limits of actuators and suspensions.
         implementation: sampling, delay, noise and quantisation of the controller.
@@ -247,7 +247,7 @@ class Vehicle(ShownResult):
         """Returns the vehicle with new values of some parameters. The controllers of the vehicle do not change.
 
         Args:
-            parameters: values [SI], or texts with a unit, such as "450 kg". The method warns about improbable values.
+            parameters: new values [SI], or texts with a unit, such as "450 kg". The method warns about improbable values.
 
         Returns:
             A copy of the vehicle with the new parameters.
@@ -288,7 +288,7 @@ class Vehicle(ShownResult):
 
     @cached_property
     def parts(self) -> Parts:
-        """Suspension forces at the wheels, in addition to the forces of linear springs and dampers."""
+        """Suspension forces at the wheels that act in addition to the forces of linear springs and dampers."""
         if not (self.curves or self.dampers or self.kind.ratios or self.limits.stopped or self.elements):
             return Parts()
 
@@ -341,7 +341,7 @@ class Vehicle(ShownResult):
 
         Returns:
             Effects per unit force on the derivatives of the n states, shape (n, e), and on the p outputs, shape (p, e). If a
-            part has an inertance, a share of each force accelerates this inertance.
+            part has an inertance, a share of each force accelerates the inertance.
         """
         from models.kinds.at_wheels import force_effects
 
@@ -437,14 +437,15 @@ class Vehicle(ShownResult):
         return self.with_force_actuators if pushing else self
 
     def without(self, part: str) -> "Vehicle":
-        """Returns the vehicle without one part of its limits or implementation; the same vehicle if it does not have this part.
+        """Returns the vehicle without one part of its limits or implementation; a vehicle without this part is returned
+        unchanged.
 
         Args:
             part: the omitted part: `noise` (measurement noise and quantisation), `delay` (of the forces), `limits` (largest
                 force and bump stops) or `lag` (of actuators or valves).
 
         Raises:
-            InputError: the part has another name.
+            InputError: `part` is not the name of a part.
         """
         if part not in WITHOUT:
             raise InputError(f"without {part!r} is not known; known: {list_names(WITHOUT)}")
@@ -485,7 +486,9 @@ class Vehicle(ShownResult):
 
     @property
     def without_integrals(self) -> "Vehicle":
-        """The vehicle without integrators in z. The pole at 0 of a filter is removed; its other poles remain."""
+        """The vehicle without the integrators in the controlled output z. The pole at 0 of a filter is removed; its other poles
+        remain.
+        """
         if not self.integrals:
             return self
         rest = {name: one.without_integral for name, one in self.filters.items()}
@@ -715,7 +718,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     """Returns a vehicle from the text of a vehicle file.
 
     Args:
-        text, source: the text of a vehicle file in TOML, and the path of this file for messages.
+        text, source: the text of a vehicle file in TOML, and the path of the vehicle file, for messages.
         folder: folder with custom vehicle types and Python laws; None allows only built-in types, and Python laws cannot run.
 
     Returns:

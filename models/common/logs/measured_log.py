@@ -1,4 +1,4 @@
-"""Measured logs: columns over time whose names are signal names, from any table of numbers (`models.common.table`).
+"""Measured logs: signals against time, from any table of numbers (`models.common.table`) whose columns have signal names.
 
 A heading may contain the words of a signal name in any case and order: `Sprung Acceleration (m/s^2)`, `FL suspension_deflection
 [mm]`. Cells of the log may be empty, and the sample rate may vary.
@@ -36,7 +36,8 @@ class MeasuredLog:
         time: times of the samples on the log's own clock [s], ascending, shape (n,).
         signals: measured values in SI units by name of the signal, each of shape (n,); NaN for a missing cell.
         remarks: notes about omitted columns and assumed units.
-        rounded: number of omitted samples, whose times equal the previous time because the file contains rounded times.
+        rounded: number of samples that are omitted because, after rounding in the file, their times equal the time of the
+            previous sample.
     """
 
     source: str
@@ -64,15 +65,15 @@ def read_measured_log(
 ) -> MeasuredLog:
     """Reads the columns of a measured log whose names are signal names: .csv, .txt, .lvm, .mat, .xlsx, .parquet, .mf4 or .mcap.
 
-    Times of day are converted to times since the first sample. If the sample rate determines the times, they also start at the
-    first sample.
+    Times of day are converted to times since the first sample. Times that are computed from the sample rate also start from 0
+    at the first sample.
 
     Args:
         path: path of the file.
         units: SI unit of each signal that may be read, by name of the signal.
         rate: sample rate of a file without a column of time [Hz]; None for a file with such a column.
         columns: heading of each signal whose column has another name in the file, by name of the signal. If the file gives no
-            unit for the column, the heading given here may contain the unit.
+            unit for a column, the heading in `columns` may contain the unit.
 
     Returns:
         The measured signals in SI units, with their times.

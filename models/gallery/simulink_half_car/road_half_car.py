@@ -70,7 +70,7 @@ def write_mjcf(spec, p):
 
 
 def per_axle(name, unit, meaning, positive=True):
-    """Returns a parameter for each axle."""
+    """Returns the declarations of a parameter that each axle has."""
     return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive=positive) for axle in AXLES)
 
 

@@ -68,7 +68,7 @@ class Load(ABC):
 
     @abstractmethod
     def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns force [N] and moments [N m] at times t [s], by the names of the body loads.
+        """Returns the force [N] and the moments [N m] of the load at times t [s], by the names of the body loads.
 
         Args:
             t: times [s].
@@ -78,7 +78,7 @@ class Load(ABC):
         """
 
     def step_means(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns the load that MuJoCo holds over time steps: by default, the values in the middle of each step.
+        """Returns the load that MuJoCo holds constant during each time step: by default, the values in the middle of the step.
 
         Args:
             t: middle times of the steps [s].
@@ -143,7 +143,7 @@ class RampedLoad(Section, Load):
         return None
 
     def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns the amplitudes of the load, multiplied by its function of time; see `Load`."""
+        """Returns the amplitudes of the load, multiplied by the load's function of time; see `Load`."""
         full, pushing = dict(self.amplitudes(p)), self.horizontal(p)
         if kind is not None and pushing is not None:
             for name, value in kind.carried(p, *pushing).items():
@@ -172,7 +172,7 @@ class _Inertial(RampedLoad):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Name of the moment."""
+        """Name of the moment that the load exerts on the body."""
         return (self.way,)
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
@@ -185,7 +185,7 @@ class _Inertial(RampedLoad):
         return {self.way: _mass(p) * GRAVITY * self.g * p["centre_height"]}
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns the name of the moment, the inertial force of the body [N] and the acceleration [m/s2]."""
+        """Returns the name of the moment, the inertial force of the body [N] and the acceleration of the vehicle [m/s2]."""
         return self.way, _mass(p) * GRAVITY * self.g, GRAVITY * self.g
 
 
@@ -214,7 +214,7 @@ class Cornering(_Inertial):
 
 
 def _vertical_force(force: float, x: float, y: float) -> dict[str, float]:
-    """Returns a vertical force [N], and the moments [N m] that it causes because of its position.
+    """Returns a vertical force [N], and the moments [N m] that the force causes about the centre of mass.
 
     Moments that are 0 are omitted, so that the force can also act on vehicles without pitch or roll.
     """
@@ -229,7 +229,7 @@ class _PlacedLoad(RampedLoad):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Names of the force and of its moments."""
+        """Names of the vertical force, and of the moments that the force causes."""
         return tuple(_vertical_force(1.0, self.x, self.y))
 
 
@@ -286,7 +286,7 @@ class Gust(RampedLoad):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Name of the moment."""
+        """Name of the moment that the load exerts on the body."""
         return (ROLL,)
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:

@@ -1,4 +1,4 @@
-"""Roads with loads on the vehicle's body. Road and loads begin at time 0."""
+"""Roads combined with loads (external forces and moments) on the vehicle's body. Road and loads begin at time 0."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class RoadWithLoads(DerivedRoad):
         return tuple(sorted({kink for load in self.on_body for kink in load.kinks}))
 
     def loads(self, vehicle: Vehicle, t: Array) -> Array:
-        """Returns the sum of the loads; see `Road`.
+        """Returns the sum of all loads on the body; see `Road`.
 
         Raises:
             InputError: the vehicle type lacks the motion that a load acts on.
@@ -49,7 +49,7 @@ class RoadWithLoads(DerivedRoad):
         return self._sum(vehicle, t, lambda load: load.at(t, vehicle.parameters, vehicle.kind))
 
     def held_loads(self, vehicle: Vehicle, t: Array, timestep: float) -> Array:
-        """Returns the sum of the loads that MuJoCo holds over time steps; see `Road`."""
+        """Returns the sum of the loads that MuJoCo holds constant during each time step; see `Road`."""
         return self._sum(vehicle, t, lambda load: load.step_means(t, timestep, vehicle.parameters, vehicle.kind))
 
     def _sum(self, vehicle: Vehicle, t: Array, values_of: Callable[[Load], Mapping[str, Array]]) -> Array:
