@@ -13,7 +13,7 @@ used:
 - measured signals from a log file: `read_measured_log`
 - errors: `InputError`, raised for any invalid input; its message is one line that gives the cause and the correction
 
-All other names may be moved or renamed without notice.
+Names that are not in this list may be moved or renamed without notice.
 """
 
 from models.common.lazy import attach

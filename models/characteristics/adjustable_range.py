@@ -1,13 +1,13 @@
 """`[actuators]` of a vehicle file: each suspension has a force actuator or a semi-active damper.
 
 A valve sets the damping coefficient c of a semi-active damper to a value between c_min and c_max. The damper gives the force -c
-v, where v is the velocity at which its suspension extends. The linear model, equation (28) of the paper, contains the nominal
-damping coefficient c_s. The control force u is the difference between the damper's force and the force with the nominal
+v, where v is the velocity at which the damper's suspension extends. The linear model, equation (28) of the paper, contains the
+nominal damping coefficient c_s. The control force u is the difference between the damper's force and the force with the nominal
 coefficient:
 
     u = -(c - c_s) v.
 
-If a controller commands a control force u*, the valve sets the coefficient that gives this force, within the limits:
+If a controller commands a control force u*, the valve sets the coefficient that gives the force u*, between c_min and c_max:
 
     c = clip(c_s - u* / v, c_min, c_max).
 
@@ -16,16 +16,16 @@ each sample of the controller, the coefficient is computed from the velocity, an
 velocity v is 0 but the commanded force u* is not 0, v counts as slightly negative. If the velocity v and the commanded force u*
 are both 0, the damper has the nominal coefficient.
 
-The limits can also be measured characteristics: the force against velocity at the softest setting, F_min, and at the firmest
-setting, F_max (`models.parts`). At the valve setting s, a number from 0 (softest) to 1 (firmest), the damper pulls with the
-force
+Instead of c_min and c_max, measured characteristics can be given: the force against velocity at the softest setting, F_min, and
+at the firmest setting, F_max (`models.parts`). At the valve setting s, a number from 0 (softest) to 1 (firmest), the damper
+pulls with the force
 
     F = (1 - s) F_min(v) + s F_max(v) = F_min(v) + (c - c_min) h(v),    h = (F_max - F_min) / (c_max - c_min),
 
 where the coefficients c_min and c_max are the slopes of the characteristics F_min and F_max at v = 0. Instead of s, the damping
 coefficient at v = 0, c = c_min + s (c_max - c_min), can also define the valve setting. The function h(v) is a velocity, and its
-slope at v = 0 is 1. If the damper's characteristics are straight lines, h(v) = v and the force is F = c v; otherwise, h(v) can
-be nonlinear.
+derivative at v = 0 is 1. If the damper's characteristics are straight lines, h(v) = v and the force is F = c v; otherwise, h(v)
+can be nonlinear.
 """
 
 from collections.abc import Mapping, Sequence
@@ -162,7 +162,7 @@ class Damper:
     pair: Envelope | None = None
 
     def among(self, elements: Sequence[Any]) -> "Damper":
-        """Returns the damper that acts in a vehicle with the given elements of `[parts]`."""
+        """Returns the semi-active damper as it acts in a vehicle that also has the given elements of `[parts]`."""
         return self
 
     @property

@@ -84,7 +84,7 @@ class ForceCurve:
         at_rest: force of the user's table in equilibrium [N], which has been subtracted from `force`.
         note: remark about the table in the file, a phrase.
         whole: characteristic with all points of the table; None if `x` and `force` contain all points.
-        error: largest difference between the force of this object and the force of `whole` [N].
+        error: largest difference between the forces of this characteristic and of the characteristic `whole` [N].
     """
 
     x: Array
@@ -98,7 +98,9 @@ class ForceCurve:
 
     @staticmethod
     def together(curves: "Sequence[ForceCurve]", shape: tuple[int, ...]) -> "StackedCurves":
-        """Combines several characteristics into an object that evaluates all of them at arguments of shape (..., *shape)."""
+        """Combines several characteristics into an object that evaluates all characteristics at once, at arguments of shape
+        (..., *shape).
+        """
         return StackedCurves(
             Pieces.stacked([one.pieces for one in curves], shape), np.reshape([one.slope for one in curves], shape)
         )

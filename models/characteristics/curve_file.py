@@ -1,11 +1,11 @@
 """Files with characteristics, to which a vehicle file refers by `file = "damper.csv"` or `stop = "bump.csv"`.
 
-When a vehicle file is read, the tables in these files replace the file names, so later steps need only the vehicle file. Files
-with control laws or vehicle families are also replaced by their contents when a vehicle file is read. Tables in CSV, `.xlsx` or
-`.mat` files have a header with quantity and unit of each column: `velocity [mm/s], force [kN]`. Damper property files (`.dpr`)
-of Adams/Car have the TeimOrbit format. A file in this format consists of blocks in brackets, tables below a row of names in
-braces, and comments after `$` or `!`. The block `[UNITS]` contains the units, and the block `[CURVE]` contains the table.
-Sources: MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ.
+When a vehicle file is read, the tables replace the names of the files that contain them, so later steps need only the vehicle
+file. Files with control laws or vehicle families are also replaced by their contents when a vehicle file is read. Tables in
+CSV, `.xlsx` or `.mat` files have a header with quantity and unit of each column: `velocity [mm/s], force [kN]`. Damper property
+files (`.dpr`) of Adams/Car have the TeimOrbit format. A TeimOrbit file consists of blocks in brackets, tables below a row of
+names in braces, and comments after `$` or `!`. The block `[UNITS]` contains the units, and the block `[CURVE]` contains the
+table. Sources: MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ.
 """
 
 import re
@@ -249,7 +249,7 @@ def _dissipation_signs(velocity: Array, force: Array, motion: Heading, load: Hea
         load: heading of the column with force.
 
     Raises:
-        InputError: the headings state the signs of velocity and force, but with these signs the damper would supply energy.
+        InputError: with the signs of velocity and force that the headings state, the damper would supply energy.
     """
     if (power := dissipation(velocity, force)) > 0:
         return (1.0, 1.0), []
@@ -278,7 +278,9 @@ def _of_ratio(text: str) -> dict[str, Any]:
 
 
 def _role(heading: Heading) -> str:
-    """Returns the quantity of a column, a key of `ROLES`, from the words or unit of the heading; empty for other quantities."""
+    """Returns the quantity of a column, a key of `ROLES`, from the words or unit of the heading; empty if `ROLES` does not
+    contain the quantity.
+    """
     for role, words in ROLES.items():
         if heading.words & words:
             return role

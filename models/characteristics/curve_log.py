@@ -2,8 +2,8 @@
 
 The displacement is differentiated by the filter of A. Savitzky and M. Golay, which has no delay. The 3 dB cut-off frequency of
 this filter is given by R. W. Schafer (2011), What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine 28, 111-117, eq.
-(12). For a damper, the mean of force times velocity over full cycles is above 0. The sign of this mean therefore shows whether
-the log gives force and velocity with the same sign.
+(12). For a damper, the mean of force times velocity over full cycles is above 0. The sign of the mean power therefore shows
+whether the log gives force and velocity with the same sign.
 """
 
 import numpy as np
@@ -69,7 +69,7 @@ def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, 
 def dissipation(velocity: Array, force: Array) -> float:
     """Returns the mean power that a damper dissipates, after subtracting its mean force [W].
 
-    The power is above 0 if force and velocity have the same sign.
+    The mean power is above 0 if the log gives force and velocity with the same sign.
 
     Raises:
         InputError: the force does not depend on the velocity.

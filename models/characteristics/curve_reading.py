@@ -230,7 +230,8 @@ def read_curves(
     Args:
         section: the section `[curves]`.
         parameters: parameters that a characteristic can replace, each with the variable on which the characteristic depends.
-        load: function that returns the static load of a spring [N] for the name of its parameter, or None for an unknown load.
+        load: function that takes the name of a spring's parameter, and returns the static load of the spring [N]; None for an
+            unknown load.
 
     Raises:
         InputError: an entry is not a characteristic, or not valid for a suspension.
@@ -390,7 +391,7 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, fl
 def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Array, str]:
     """Approximates a characteristic by as few straight segments as possible.
 
-    At 0, the approximation has the same slopes as the points.
+    The slopes of the approximation next to 0 are the slopes that the points have there.
 
     Args:
         x: values of the argument, ascending, shape (n,).

@@ -7,8 +7,8 @@ of the argument. A mean force that decreases is replaced by the closest non-decr
 (isotonic regression).
 
 If a damper has play or friction, its slope at velocity 0 differs from the coefficient of a linear damper that dissipates the
-same energy in the test. For samples at a constant rate, this coefficient is the sum of F v divided by the sum of v^2, where F
-is the force and v the velocity. The note of the characteristic contains both the slope and the coefficient.
+same energy in the test. For samples at a constant rate, the coefficient is the sum of F v divided by the sum of v^2, with force
+F and velocity v. The note of the characteristic contains the slope at 0 and the coefficient of the linear damper.
 """
 
 import numpy as np
@@ -36,7 +36,8 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
 
     Returns:
         Argument (ascending) and force of the mean characteristic, shapes (k,), and a phrase for the note. The phrase gives the
-        largest hysteresis, the subtracted force and, for a damper, the coefficient that dissipates the same energy.
+        largest hysteresis, the subtracted force and, for a damper, the coefficient of a linear damper that dissipates the same
+        energy.
     """
     from scipy.optimize import isotonic_regression
     from scipy.signal import find_peaks

@@ -36,8 +36,8 @@ class RatioTable:
     Attributes:
         x: deflections [m], ascending, with 0 between the first and the last, shape (n,).
         ratio: motion ratio r at each deflection, shape (n,).
-        straight: True if springs and dampers with this ratio are linearised in equilibrium, as in linear analysis, and do not
-            use the table.
+        straight: True if springs and dampers with this ratio are replaced by their linearisations in equilibrium, so that the
+            table has no effect.
     """
 
     x: Array
@@ -55,7 +55,7 @@ class RatioTable:
 
     @cached_property
     def relative_slope(self) -> float:
-        """Relative slope r'(0) / r(0) [1/m], where r'(0) is the mean of the slopes on both sides of 0."""
+        """Relative slope r'(0) / r(0) of the motion ratio [1/m], where r'(0) is the mean of the slopes on both sides of 0."""
         i = int(np.searchsorted(self.x, 0.0))
         x = np.insert(self.x, i, 0.0) if 0.0 not in self.x else self.x
         return slope_at_rest(x, self(x)) / self.at_rest
@@ -96,8 +96,8 @@ class RatioTable:
 
     @cached_property
     def _segments(self) -> Array:
-        """Segments within and beyond the table: the start of each segment, travel and ratio at its start, and the slope of the
-        ratio, shape (4, n + 1).
+        """Segments within and beyond the table: the deflection, travel and ratio at the start of each segment, and the slope of
+        the ratio, shape (4, n + 1).
         """
         x, r = self.x, self.ratio
         at = np.concatenate([[0.0], np.cumsum((r[1:] + r[:-1]) / 2 * np.diff(x))])

@@ -28,7 +28,7 @@ PAIRS_PER_ROW = 4
 def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     """Returns the table of a CSV file, sorted and in SI units. Velocities and deflections are positive in extension.
 
-    Returns None for other files, such as a measured loop.
+    Returns None for a file in neither of the two forms, such as a measured loop.
 
     Args:
         text: content of the file.
@@ -77,7 +77,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
 
 
 def _first_row(table: NumberTable) -> tuple[str, Array | None]:
-    """Returns the first cell of a sheet, and the numbers in the rest of its first row; None for other files."""
+    """Returns the first cell of a sheet, and the numbers in the rest of the first row; None for a file that is not a sheet."""
     above = [line for line in table.lines[: table.first] if line.strip()]
     row = above[-1].rsplit(table.separator.strip(" ") or None, table.count - 1) if above else []
     cells = [cell.strip(' "') for cell in row]

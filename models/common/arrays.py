@@ -45,11 +45,12 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
         expected: required shape as text, for messages; empty if any shape is allowed.
 
     Returns:
-        The matrix, and the magnitude of its largest entry. The magnitude is returned because callers need it, and because
-        computing it takes as long as the check.
+        The matrix, and the magnitude of its largest entry. The magnitude is returned because callers need it, and because a
+        second computation would take as long as the check.
 
     Raises:
-        InputError: the value is not such a matrix. The message gives the name of the argument.
+        InputError: the value is not a real matrix of the expected shape, or an entry is larger than `largest`. The message
+            gives the name of the argument.
     """
     check_unmasked(name, value)
     try:
@@ -80,8 +81,8 @@ def recursion(Phi: Array, forcing: Array, start: Array | None = None) -> Array:
     """Solves the recursion x[k+1] = Phi x[k] + forcing[k] with x[0] = `start`; returns x, shape (..., T, n).
 
     A Python loop over all T samples would be slow. The samples are therefore divided into about sqrt(T) stretches of about
-    sqrt(T) samples. The responses of all stretches are computed together, each from x = 0. Then the effect of each stretch on
-    the following stretches is added.
+    sqrt(T) samples. The responses of all stretches are computed together, each from x = 0. Finally, the effect of each stretch
+    on the stretches after it is added.
 
     Args:
         Phi: transition matrix from one sample to the next, shape (n, n).

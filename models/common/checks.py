@@ -34,8 +34,8 @@ class Must:
     """Additional condition of an annotation, as in `Annotated[float, Must("a number above 0", lambda value: value > 0)]`.
 
     Attributes:
-        words: description of the allowed values. If the text begins with a comma or space, messages append it to the
-            description of the type.
+        words: description of the allowed values. If `words` begins with a comma or space, messages append it to the description
+            of the type.
         holds: function that takes a value of the annotated type, and returns True if the value is allowed.
         unit: unit of a number; empty for other values. A text with a number and a different unit is converted: if the unit is
             m, "60 mm" becomes 0.06.
@@ -100,7 +100,8 @@ def check(name: str, value: Any, annotation: Any) -> Any:
 
 
 def check_fields(value: Any, prefix: str = "") -> None:
-    """Checks the fields of a dataclass, in its `__post_init__`. Lists become the annotated arrays and tuples.
+    """Checks the fields of a dataclass; the method `__post_init__` of the dataclass calls this function. Lists become the
+    annotated arrays and tuples.
 
     Args:
         value: the instance of the dataclass.
@@ -134,7 +135,7 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
 def check_arguments(function: F) -> F:
     """Returns a function that checks its arguments against their annotations before it runs.
 
-    If the result is a vehicle, a run or a list of runs, its warnings are also issued, each only once.
+    If the function returns a vehicle, a run or a list of runs, the warnings of the result are issued, each only once.
     """
     signature, former = inspect.signature(function), getattr(function, "former_names", {})
 
@@ -156,7 +157,7 @@ def check_arguments(function: F) -> F:
 def accept_former_names(**names: str) -> Callable[[F], F]:
     """Returns a decorator for a public function or dataclass that also accepts former names of arguments.
 
-    The attributes of the dataclass can also be read by their former names.
+    Attributes of the dataclass can also be read by former names.
 
     Args:
         names: the present name for each former name.
@@ -211,7 +212,7 @@ def is_finite(value: Any) -> bool:
 
 
 def plain(value: Any) -> Any:
-    """Returns a NumPy scalar, or an array without dimensions, as a Python number; any other value unchanged."""
+    """Returns a NumPy scalar or an array without dimensions as a Python number, and any other value unchanged."""
     scalar = isinstance(value, np.generic) or (isinstance(value, np.ndarray) and not value.ndim)
     return value.item() if scalar and not is_masked(value) else value
 
@@ -277,9 +278,9 @@ def _obviously(value: Any, annotation: Any) -> bool:
 
 
 def _simple(value: Any, wanted: type) -> tuple[Any, bool]:
-    """Returns a value, converted if necessary, and True if it has the requested type.
+    """Returns a value, converted if necessary, and a flag that is True if the value has the requested type.
 
-    Arrays and paths are converted from other types.
+    Other types are converted to arrays and paths if the annotation requests an array or a path.
     """
     if wanted is Array:
         try:

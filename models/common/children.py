@@ -1,6 +1,6 @@
 """Child processes in Python that answer messages one after another.
 
-Every wait for an answer has a time limit, and the end of a child raises an exception. Children can therefore execute code that
+Every wait for an answer has a time limit, and the end of a child raises an exception. A child can therefore execute code that
 hangs or crashes.
 
 Unlike children of `multiprocessing`, these children do not import the user's script again, so scripts do not need `if __name__
@@ -60,7 +60,7 @@ class Child:
 
     @property
     def ended(self) -> bool:
-        """True if the process has ended, by itself or because its parent ended it."""
+        """True if the child process has ended, by itself or because its parent ended it."""
         return self._process.poll() is not None
 
     def ask(self, message: Any, longest: float | None = None) -> Any:
@@ -109,7 +109,7 @@ _running_processes: "weakref.WeakSet[subprocess.Popen[bytes]]" = weakref.WeakSet
 
 
 def kill_children() -> None:
-    """Terminates all children immediately, so that nothing waits for their answers."""
+    """Terminates all child processes immediately, so that no code waits for an answer of a child."""
     for process in list(_running_processes):
         process.kill()
 

@@ -1,6 +1,6 @@
 """Start and end of a command. Every command that fails prints one line to stderr and returns an exit code.
 
-The module of a command calls `run` before it imports anything else. Ctrl-C during the imports therefore also ends the command
+The module of a command calls `run` before any other import. Ctrl-C during the imports therefore also ends the command
 with a one-line message.
 """
 

@@ -70,7 +70,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(TRACEBACK, action="store_true", help="show the Python traceback of an error, for a bug report")
 
     def _called(self, text: str) -> str:
-        """Returns a text whose commands are written in the form in which the user called this command:
+        """Returns a text in which every command is written in the form in which the user called the present command:
 
         `roadproof bump` or `python -m sim.bump`.
         """
@@ -178,7 +178,8 @@ class Parser(argparse.ArgumentParser):
     ) -> None:
         """Adds an option for an integer from `low` to `high`, or for several integers if `many` is True.
 
-        `unset` is the value if the option is not given; `default` describes this value in the help text.
+        The argument `unset` is the value for a command line without the option; `default` describes the value `unset` in the
+        help text.
         """
 
         def count(text: str) -> int:
@@ -211,7 +212,7 @@ class Parser(argparse.ArgumentParser):
     def add_exported(
         self, what: str = "run the controller as compiled code from this folder, which roadproof synth --export wrote"
     ) -> None:
-        """Adds the option `--as`, which names the folder of exported code; `what` is its help text."""
+        """Adds the option `--as`, which names the folder of exported code; `what` is the help text of the option."""
         self.add_argument("--as", dest="exported", type=Path, metavar="DIR", help=what)
 
     def add_loads(self, what: str, syntax: str) -> None:
@@ -237,7 +238,7 @@ def chosen_controllers(names: Sequence[str], given: Sequence[str] | None, usual:
         usual: the controllers that are selected without `--controller`.
 
     Raises:
-        InputError: no name is given, a name is unknown or given twice, or `all` is given together with a name.
+        InputError: no controller is named, a name is unknown or given twice, or `all` is given together with a name.
     """
     for name in given or ():
         if name not in (ALL, *names):
@@ -264,7 +265,7 @@ def chosen_of(
 
     Args:
         vehicles: names of all controllers of each vehicle, by a key that identifies the vehicle.
-        given: names on the command line, as in `chosen_controllers`.
+        given: names of controllers on the command line, as in `chosen_controllers`.
         usual: names of the default controllers, as in `chosen_controllers`.
 
     Raises:
@@ -290,7 +291,7 @@ def one_chosen(names: Sequence[str], given: str | None, usual: str = "") -> str:
         usual: controller that is used if `--controller` is not given; empty if the option is required.
 
     Raises:
-        InputError: no name is given, or the name is unknown.
+        InputError: no controller is named, or the name is unknown.
     """
     allowed = f"give --controller with one of: {', '.join(names)}"
     if given is None and usual:
@@ -366,7 +367,7 @@ def print_remarks(given: Any) -> Any:
 def print_json(result: Mapping[str, Any]) -> None:
     """Prints the result of a command as JSON.
 
-    If there are warnings about vehicles or roads, the key `remarks` contains them.
+    Warnings about vehicles or roads are in the key `remarks`.
     """
     print(json.dumps({**result, **({"remarks": _remarks} if _remarks else {})}, allow_nan=False))
 

@@ -18,7 +18,7 @@ class InputError(ValueError):
     """Invalid input. The message is one line (`one_line`) that gives the wrong value, the allowed values and a correction.
 
     Attributes:
-        exit_code: exit code of a command that ends with this error.
+        exit_code: exit code of a command that ends because of an InputError.
     """
 
     exit_code = 2
@@ -48,7 +48,7 @@ def short_repr(value: Any) -> str:
 
 
 def middle_cut(text: str, most: int) -> str:
-    """Returns a text unchanged, or its beginning and end if it has more than `most` characters."""
+    """Returns a text unchanged; a text with more than `most` characters is reduced to its beginning and end."""
     if len(text) <= most:
         return text
     kept = most - len(" ... ")

@@ -19,7 +19,7 @@ class Registry(dict[str, str]):
 
     Attributes:
         sort: noun for an extension of this type, for messages.
-        attributes: names of the attributes that each of these extensions must have.
+        attributes: names of the attributes that each extension of this type must have.
         texts: additional texts for help pages, by the name of the extension.
     """
 
@@ -44,7 +44,7 @@ class Registry(dict[str, str]):
         return extension
 
     def load_if_known(self, name: str) -> Any:
-        """Returns the extension with a given name, or None if no row has this name."""
+        """Returns the extension with a given name; None if `EXTENSIONS` does not contain the name."""
         return self.load(name) if name in self else None
 
     def load_all(self) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 A file is written under a temporary name and then renamed, so no program ever reads an incomplete file.
 
-If the path is a link, its target is replaced. The new file has the same permissions as the file that it replaces. A pipe, a
-device or standard output receives the content when it is complete.
+If the path of a file is a link, the target of the link is replaced. The new file has the same permissions as the file that it
+replaces. A pipe, a device or standard output receives the content when it is complete.
 """
 
 import hashlib
@@ -67,7 +67,7 @@ def whole_file(path: Path, what: str, instead: str = "give another path") -> Ite
     Args:
         path: the file, a link to it, or `/dev/stdout`.
         what: purpose of the file, for the error message.
-        instead: advice for the message if the file cannot be written.
+        instead: advice that the error message gives if the file cannot be written.
 
     Raises:
         InputError: the file cannot be written.
@@ -220,16 +220,16 @@ def identity(path: Path) -> tuple[int, int] | str:
 
 @contextmanager
 def reading(path: Path, purpose: str, give: str = "give another file") -> Iterator[None]:
-    """Turns any error that a library raises in this block into an InputError with path, purpose and the library's message.
+    """Turns any error that a library raises in the block into an InputError with path, purpose and the library's message.
 
     Args:
         path: the file that the block reads.
         purpose: purpose of the file, such as "road profile".
-        give: advice for the message: what to do instead.
+        give: advice for the error message on what the user can do instead.
 
     Raises:
-        InputError: the block failed. If the block raises an InputError, the message of this error follows the purpose and the
-            path.
+        InputError: the block failed. If the block raises an InputError, the purpose and the path of the file are put in front
+            of the message.
     """
     try:
         yield

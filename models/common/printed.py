@@ -1,8 +1,8 @@
 """Printed output: lines of at most 80 columns, formats of numbers, commands to paste into a shell, and progress.
 
 The width is fixed, so the output does not depend on the terminal. A sentence that does not fit on a line continues on the next
-line, indented. In a table, a name that is too long is on a separate line. Only paths and lines to copy may be longer than 80
-columns, because they must not be broken.
+line, indented. In a table, a name that is too long is on a separate line. Only paths, and lines that a user copies, may be
+longer than 80 columns, because these lines must not be broken.
 """
 
 import math
@@ -52,7 +52,7 @@ def as_name(name: str) -> str:
 
 
 def by_text(said: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Groups the names that have the same text.
+    """Groups names by the text that belongs to them.
 
     Args:
         said: pairs of name and text.
@@ -139,7 +139,7 @@ class Stages:
         self._names, self._now = names, ""
 
     def __call__(self, text: str) -> None:
-        """Begins the stage with this name.
+        """Begins the stage that has the name in the argument.
 
         A text that is not the name of a stage is shown as progress of the current stage; an empty text clears the line of
         progress.
@@ -175,7 +175,7 @@ def say(lines: Iterable[str]) -> None:
 def fit_lines(lines: Iterable[str]) -> list[str]:
     """Returns lines of at most `WIDTH` columns.
 
-    A longer line is broken, and its continuation is indented by two more columns.
+    A line that is too long is broken, and the continuation is indented by two more columns.
     """
     return [part for line in lines for part in (wrap_text(line) if len(line) > WIDTH else [line])]
 
@@ -238,7 +238,7 @@ def table(rows: Iterable[Sequence[str] | str], indent: str = GAP, tight: bool = 
     Args:
         rows: rows with the same number of cells, whose first cell is a name. A row can also be a text that spans all columns.
         indent: prefix of every line.
-        tight: True to separate columns by a single space if more names then fit.
+        tight: True to separate columns by a single space if more names fit in their column as a result.
     """
     all_rows = list(rows)
     cells = [row for row in all_rows if not isinstance(row, str)]

@@ -59,7 +59,8 @@ class Key:
 
         Args:
             value: value in the file.
-            context: facts about the vehicle (see `read`), and the values of the keys that are declared before this key.
+            context: facts about the vehicle (see `read`), and the values of the keys that are declared before the key that is
+                read.
 
         Raises:
             InputError: the value is not allowed. The message of the error contains `HERE` in place of the names of section and
@@ -72,7 +73,7 @@ class Key:
 class SI(Key):
     """A number with a unit and a range, written as 380 or "380 kg". `more` is the end of the message for an invalid value.
 
-    Infinity is allowed if the range has no upper limit. Like `Must`, this annotation can also be a condition for
+    Infinity is allowed if the range has no upper limit. Like `Must`, the annotation `SI` can also be a condition for
     `models.common.checks`.
     """
 
@@ -90,7 +91,7 @@ class SI(Key):
         """Returns a number in SI units. `what` is the name of the number in messages.
 
         Raises:
-            InputError: the value is not a number, is out of range, or has another unit.
+            InputError: the value is not a number, is out of range, or has a unit of the wrong dimension.
         """
         value = in_unit(value, self.unit, what)
         if not (is_finite(value) or (isinstance(value, float) and value == self.high)) or not self.low <= value <= self.high:
@@ -260,8 +261,8 @@ class Subsection(Key):
 
 @dataclass(frozen=True)
 class BySignal(Key):
-    """A table with numbers for signals or for other names. Each number has the unit of its signal, or all numbers have the same
-    unit.
+    """A table with a number for each of several names, such as signals. Each number has the unit of its signal, or all numbers
+    have the same unit.
 
     The entry `names` in the context of the reader gives the unit of each allowed name.
     """
@@ -362,7 +363,7 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
     """Reads a section of a file.
 
     Args:
-        where: name of the section for messages, such as "[payload]".
+        where: name of the section, such as "[payload]", for messages.
         section: dataclass of the section.
         given: table of the section, as read from TOML or JSON.
         context: facts about the vehicle on which the allowed values depend, by name.
@@ -416,7 +417,7 @@ def locate_errors(where: str, path: Sequence[str]) -> Iterator[None]:
 
 
 def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()) -> S:
-    """Reads a section from a text `:NAME=VALUE:NAME=VALUE`, as on a command line. Numbers may be given without units.
+    """Reads a section from a text `:NAME=VALUE:NAME=VALUE`, as on a command line. Numbers in the text may have no unit.
 
     Args:
         where: name of the section, for messages.

@@ -1,12 +1,12 @@
 """Tables of numbers in text files, spreadsheets, MATLAB and LabVIEW files.
 
-The readers of roads, rigs, characteristics and logs use this module.
+The functions that read roads, rigs, characteristics and logs use this module.
 
 Cells are separated by semicolons, tabs, commas or spaces, and may be in quotes. A comma that does not separate cells is a
 decimal comma. A table uses one decimal mark and no thousands separators. A comment begins with `#`; a line that begins with
 `%`, `!` or `//` is also a comment. Names and units of the columns are above the numbers, as in `force [kN]`, `height_cm` or
-`left / mm`. Units may be on a separate line. `csv.Sniffer` is not used, because it takes the comma of `0,5;0,02` for the
-separator.
+`left / mm`. Units may be on a separate line. `csv.Sniffer` is not used, because it would take the decimal comma of `0,5;0,02`
+for the separator.
 """
 
 import csv
@@ -137,8 +137,8 @@ class NumberTable:
         """Returns the numbers in columns, shape (rows, columns), and the line number of every row, counted from 1.
 
         Args:
-            columns: column numbers, counted from 0; empty for all columns. Other columns, and text after the last column, are
-                ignored.
+            columns: column numbers, counted from 0; empty for all columns. Columns that are not listed, and text after the last
+                column, are ignored.
             ragged: True if a line may contain additional numbers after the last column.
             gaps: True if cells may be empty or contain a text in `MISSING`, such as "n/a"; these cells become NaN.
 
@@ -211,7 +211,8 @@ class NumberTable:
             known: quantities that are allowed for columns.
 
         Raises:
-            InputError: a column has another quantity, or `headings`, `Heading.scale` or `numbers` raises this error.
+            InputError: the quantity of a column is not in `known`, or `headings`, `Heading.scale` or `numbers` raises this
+                error.
         """
         headings = self.headings([QUANTITIES[name].si for name in known])
         for heading in headings:
@@ -226,11 +227,11 @@ class NumberTable:
 def table_text(path: Path) -> str:
     """Returns the content of a file as text.
 
-    Text files are read as UTF-8 or, if this fails, as Windows-1252. For LabVIEW files, units are added to the headings. All
-    other files are converted to lines whose cells are separated by tabs. For a spreadsheet (.xlsx), the text is the sheet that
-    contains a table or, without such a sheet, the first sheet. For a MATLAB file (.mat), the text contains the arrays; for a
-    Parquet file (.parquet), the columns of numbers. For recordings (MDF4, .mf4, and MCAP, .mcap), the text contains the
-    channels.
+    Text files are read as UTF-8; if they are not valid UTF-8, they are read as Windows-1252. For LabVIEW files, units are added
+    to the headings. All other files are converted to lines whose cells are separated by tabs. For a spreadsheet (.xlsx), the
+    text is the sheet that contains a table; if no sheet contains a table, it is the first sheet. For a MATLAB file (.mat), the
+    text contains the arrays; for a Parquet file (.parquet), the columns of numbers. For recordings (MDF4, .mf4, and MCAP,
+    .mcap), the text contains the channels.
 
     Raises:
         InputError: the package for spreadsheets is not installed, or the file is too large. The error is also raised if several
@@ -331,7 +332,7 @@ def matlab_variables(content: bytes) -> dict[str, Any]:
 
 
 def find_table(text: str, give: str, separator: str = "", column: int = 0) -> NumberTable:
-    """Finds the table in a text. The table begins with the first line that has a number in a given column.
+    """Finds the table in a text. The table begins with the first line that has a number in the column `column`.
 
     Args:
         text: text of the whole file.
@@ -340,7 +341,7 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
         column: number of the column in which the first line must have a number, counted from 0.
 
     Raises:
-        InputError: no line has a number in this column.
+        InputError: no line has a number in the column `column`.
     """
     if "\0" in text:
         raise InputError(f"this is not a text file in UTF-8 (a NUL character, as in UTF-16); save it as UTF-8, or {give}")

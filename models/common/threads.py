@@ -66,7 +66,7 @@ Piece = Callable[[Callable[[], bool]], Result]
 def cores() -> int:
     """Returns the number of processors that this process may use, at least 1.
 
-    A container or scheduler may limit this number.
+    A container or scheduler may limit the number of processors.
     """
     allowed = getattr(os, "sched_getaffinity", None)
     return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
@@ -82,7 +82,7 @@ def side_by_side(
     them.
 
     Args:
-        pieces: pieces of work. Long pieces should come first, so that all threads end at about the same time.
+        pieces: pieces of work. Long pieces of work should come first, so that all threads end at about the same time.
         threads: number of threads.
         abandon: function that is called if the work is abandoned; the function must end whatever the running pieces wait for.
     """

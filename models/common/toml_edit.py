@@ -83,7 +83,7 @@ def _place(body: list[Any], path: tuple[str, ...], line: Any = None) -> Any:
     Args:
         body: body of the document or of a table.
         path: names of the sections of the key, and of the key itself.
-        line: place of the item whose line contains the whole body; None for a body whose items are on lines of their own.
+        line: place of the item whose line contains the whole body; None if every item of the body has its own line.
 
     Returns:
         Two places, each as a body and an index: the item of the key, and the item on whose line the key is.

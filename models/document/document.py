@@ -67,7 +67,8 @@ class Table:
         caption: description of the table's content.
         headings: headings of the columns.
         rows: cells as text. The first cell of a row is its name.
-        words: number of left-aligned text columns. Other columns are right-aligned numbers, except a last column `NOTE`.
+        words: number of left-aligned text columns. The remaining columns are right-aligned numbers, except for a last column
+            `NOTE`.
         pivot: short form of the table for a page; None to show all columns whose cells differ.
         detail: lowest level of detail at which the table is shown.
         wide: headings of columns that are omitted on a terminal, because a terminal has no room for them.
@@ -129,7 +130,9 @@ class Document:
     detail: Detail = "normal"
 
     def all(self) -> Iterator[Block]:
-        """Yields every block, including the blocks of inner documents. An inner document comes before its blocks."""
+        """Yields every block, including the blocks of inner documents. An inner document is yielded before the blocks that it
+        contains.
+        """
         for block in self.blocks:
             yield block
             if isinstance(block, Document):

@@ -51,7 +51,7 @@ class Field(Generic[Of]):
         return self.digits(self.value(one))
 
     def digits(self, value: Any) -> str:
-        """Returns a value in SI units as text without its unit, in the same form as `cell`."""
+        """Converts a value in SI units to text without its unit, in the same form as `cell`."""
         if isinstance(value, str) or value is None:
             return "-" if value is None else value
         value = self.scale * value
@@ -62,7 +62,7 @@ class Field(Generic[Of]):
         return f"{self.digits(value)} {self.unit}".rstrip()
 
     def of(self, get: Callable[[T], Of | None], label: str = "") -> "Field[T]":
-        """Returns a field with the same quantity for objects that contain a result of this type.
+        """Returns a field that shows the same quantity for objects that contain the result.
 
         Args:
             get: function that returns the result in an object, or None for an object without a result.
@@ -104,13 +104,14 @@ class Record(Generic[T]):
     """
 
     def __init__(self, *parts: "Field[T] | Part[T]", **values: "Field[Any] | Value[Any]") -> None:
-        """Prepares the record from the parts that give its values.
+        """Prepares the record from the parts that give the values of the JSON object.
 
         Args:
             parts: fields, names of attributes, records or functions that give the values. Fields without a key are omitted. The
-                name of an attribute is also its key. The keys in the objects that records and functions return become keys of
-                this object.
-            values: further values, after these parts: fields, functions, or names of attributes, such as "certificate.norm".
+                name of an attribute is also the key of its value. The keys of objects that records and functions return become
+                keys of the JSON object.
+            values: further values by key, after those of the parts: fields, functions, or names of attributes, such as
+                "certificate.norm".
         """
         keyed = [
             {part.key: part} if isinstance(part, Field) else {part: part} if isinstance(part, str) else part for part in parts

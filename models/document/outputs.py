@@ -33,12 +33,13 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
     Args:
         outputs: paths by type of output (csv, picture, report, save, vehicle, logs or figures); None for outputs that are not
             requested.
-        read: paths of the input files. An output may not replace an input file, even under another name or through a link.
+        read: paths of the input files. An output may not replace an input file, even under a second name of the file or through
+            a link.
         json: True if standard output is reserved for one JSON object.
 
     Raises:
-        InputError: an output cannot be written, has the suffix of another format, or is the same file as an input or as another
-            output. The error is also raised if a vehicle file would replace a file that no command has saved.
+        InputError: an output cannot be written, has the suffix of a different format, or is the same file as an input or a
+            second output. The error is also raised if a vehicle file would replace a file that no command has saved.
     """
     read_files = {identity(Path(path)) for path in read}
     taken: dict[object, str] = dict.fromkeys(read_files, "is an input file")

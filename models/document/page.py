@@ -1,6 +1,6 @@
 """Pages: documents as one HTML file that needs no network.
 
-Figures are inline SVG, and there is no script. Jinja2 fills the template `page.html.jinja`.
+Figures are inline SVG, and the page contains no script. Jinja2 fills the template `page.html.jinja`.
 """
 
 import base64

@@ -1,6 +1,6 @@
 """Figures drawn by matplotlib without a display: as files, and as SVG in pages and notebooks.
 
-Lengths are in px. Here, one px is 1/72 inch, so a font size has the same number in px and in points.
+Lengths are in px. In this module, one px is 1/72 inch, so a font size is the same number in px and in points.
 """
 
 import os
@@ -66,8 +66,8 @@ def check_drawing() -> None:
 def _matplotlib() -> Any:
     """Returns matplotlib, even if the environment variable MPLBACKEND refers to a backend that is not installed.
 
-    The figures in this module do not need a backend. If the variable is valid, its backend still applies to windows with the
-    caller's own figures.
+    The figures in this module do not need a backend. If MPLBACKEND is valid, its backend still applies to windows in which a
+    user shows figures of his own.
     """
     backend = "" if "matplotlib" in sys.modules else os.environ.pop("MPLBACKEND", "")
     try:
@@ -100,7 +100,7 @@ class _Sheet:
         self.canvas = Canvas(figsize=(width / 72, height / 72), dpi=72)
 
     def box(self, left: float, top: float, width: float, height: float) -> tuple[float, float, float, float]:
-        """Returns a rectangle as fractions of the figure's width and height, measured from the lower left corner of the figure."""
+        """Returns a rectangle as fractions of the figure's width and height, with the origin at the figure's lower left corner."""
         return left / self.width, 1 - (top + height) / self.height, width / self.width, height / self.height
 
     def write(self, x: float, y: float, text: str, **style: Any) -> None:
@@ -109,7 +109,7 @@ class _Sheet:
             self.canvas.text(x / self.width, 1 - y / self.height, quoted_code(text), va="baseline", **style)
 
     def write_lines(self, x: float, y: float, lines: Sequence[tuple[str, str]]) -> None:
-        """Writes lines of text with their font weights. The baseline of the first line is at y."""
+        """Writes lines of text, each with its font weight. The baseline of the first line is at y."""
         for k, (line, weight) in enumerate(lines):
             self.write(x, y + LINE * k, line, weight=weight)
 
@@ -123,7 +123,7 @@ class _Sheet:
 
 
 def write_picture(figure: Figure, *paths: Path) -> None:
-    """Writes a figure to every path, each as a complete file. The same figure always gives the same bytes.
+    """Writes a figure to every path, each as a complete file. Two files of the same figure have identical bytes.
 
     Raises:
         InputError: the picture cannot be written.
@@ -190,7 +190,7 @@ def _whole(figure: Figure) -> _Sheet:
 
 
 def _paragraphs(first: str, *others: str, room: float) -> list[tuple[str, str]]:
-    """Returns the lines of paragraphs with their font weights. The first paragraph is bold."""
+    """Returns the lines of several paragraphs, each with its font weight. The first paragraph is bold."""
     bold = [(line, "bold") for line in wrap_at_spaces(notation(first), room / BOLD, FONT)]
     return bold + [(line, "normal") for text in others for line in wrap_at_spaces(notation(text), room, FONT)]
 

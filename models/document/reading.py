@@ -144,7 +144,7 @@ def _with_footnotes(column: Sequence[str], marks: Iterable[str], notes: dict[str
 def align_numbers(column: Sequence[str]) -> list[str]:
     """Returns numbers that are padded with figure spaces, so that the decimal points are aligned.
 
-    A column with a word other than "-" is unchanged.
+    A column that contains a word other than "-" is not changed.
     """
     matches = [NUMBER.fullmatch(cell) for cell in column]
     if not any(matches) or not all(one or cell in ("-", "any", "") for one, cell in zip(matches, column, strict=True)):

@@ -60,7 +60,7 @@ class View:
     Attributes:
         struts: struts from left to right.
         body: symbols in the body, such as "m_s, I_y".
-        spans: distances shown below the road, each with both ends [m] and a symbol.
+        spans: distances that are shown below the road, each with the positions of its two ends [m] and a symbol.
         bar: symbol of an anti-roll bar; empty without a bar.
         computer: lines of text in the box of the computer; empty without a computer.
         seat: seat above the body, with the symbol of its mass; None without a seat.
@@ -121,7 +121,7 @@ def sketch_svg(sketch: Sketch, road: Callable[[float], float] | None = None, alo
         sketch: sketch to draw.
         road: function from the horizontal position in the view [m] to the height of the road in the drawing, positive upwards;
             None for a flat road.
-        alone: True for a separate file, with dark lines on white.
+        alone: True for a sketch in a file of its own, with dark lines on white.
     """
     above = ABOVE * any(view.seat is not None for view in sketch.views)
     width, high = max(view.width for view in sketch.views) + AHEAD * (road is not None), GROUND + BELOW + above

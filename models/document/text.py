@@ -69,8 +69,8 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
     """Returns the lines of a table for a terminal.
 
     If the table is too wide, headings are wrapped, and headings of columns with relative changes are shortened to "%". If
-    several rows have the same name, the name is on a separate line above these rows, which are indented. If the last column is
-    `NOTE`, its remarks are to the right of their rows or below them.
+    several rows have the same name, the name is on a separate line, and the rows are indented below the name. If the last
+    column is `NOTE`, the remarks in it are printed to the right of the rows or below the rows.
     """
     columns = [each for each in zip(one.headings, *one.rows, strict=True) if each[0] not in one.wide]
     remarks: Sequence[str] = ()

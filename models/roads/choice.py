@@ -62,13 +62,13 @@ class RoadChoice:
         """Returns the road for a vehicle.
 
         Args:
-            vehicle: the vehicle; a road with two tracks needs its track width.
+            vehicle: the vehicle that drives on the road; a road with two tracks needs the vehicle's track width.
             speed: vehicle speed [m/s].
             seed: seed of a random road.
             distance: driven distance [m], over which a random road does not repeat.
 
         Returns:
-            The road, including its loads.
+            The road with its loads on the body.
 
         Raises:
             InputError: a number of the road, such as its height or speed, is not allowed.
@@ -122,7 +122,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
 
 
 def _unread(text: str, folder: Path) -> str:
-    """Returns a message if a text is the name of an existing file that cannot be read; otherwise an empty text."""
+    """Returns an error message if a text is the name of an existing file that cannot be read; empty otherwise."""
     path = path_from(text, folder)
     if not path.exists():
         path = path_from(re.sub(r"(:\w+=[^:]*)+$", "", text), folder)

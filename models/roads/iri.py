@@ -11,14 +11,14 @@ The car starts in steady motion along the mean slope of the first 11 m. The IRI 
 suspension, |z_s' - z_u'| / V. Because the slope is constant between samples, the state transition is exact. The transition is
 computed in the modal coordinates of the car.
 
-A profile with evenly spaced points is used unchanged; any other road is sampled every 25 mm. A vehicle with two tracks has an
-IRI for each track, `left` and `right`. The value `mean` is the mean of both tracks' IRIs (MRI). The value `half_car` is the IRI
-of the mean of both profiles (HRI), which does not contain the warp of the road. Names: M. W. Sayers and S. M. Karamihas (1998),
-"The little book of profiling", UMTRI.
+A profile with evenly spaced points is used unchanged; a road without such points is sampled every 25 mm. A vehicle with two
+tracks has an IRI for each track, `left` and `right`. The value `mean` is the mean of both tracks' IRIs (MRI). The value
+`half_car` is the IRI of the mean of both profiles (HRI), which does not contain the warp of the road. Names: M. W. Sayers and
+S. M. Karamihas (1998), "The little book of profiling", UMTRI.
 
 On a random road, the response y of the car is Gaussian with the variance s^2, so E|y| = sqrt(2/pi) s. If rho is the correlation
-of the responses y and y' at two places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). This covariance
-determines by how much the IRI over a distance differs between random roads (its standard deviation).
+of the responses y and y' at two places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). The covariance of |y|
+at two places determines the standard deviation of the IRI among random roads of the same length.
 """
 
 import math
@@ -232,7 +232,7 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
 
 
 def why_none(road: Road) -> str:
-    """Returns a note if a road from a file has no IRI because its points are too far apart; empty for other roads."""
+    """Returns a note if a road from a file has no IRI because its points are too far apart; empty otherwise."""
     profile = _without_loads(road)
     step = float(np.median(np.diff(profile.distance))) if isinstance(profile, Profile) else 0.0
     coarse = f"no iri: the road's points are {step:.3g} m apart, but ASTM E1926 allows at most {COARSEST:g} m"
@@ -240,7 +240,7 @@ def why_none(road: Road) -> str:
 
 
 def _without_loads(road: Road) -> Road:
-    """Returns a measured road without its loads. Other roads are returned unchanged."""
+    """Returns a measured road without its loads. A road that is not measured is returned unchanged."""
     felt = road.from_start
     return felt.road if isinstance(felt, Departure) else road
 
@@ -283,10 +283,11 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
     """Returns mean and standard deviation of the named IRIs over all roads that have the given spectrum, for a driven distance
     [m].
 
-    Unlike a Gaussian signal, a road has sinusoids with fixed amplitudes, so the mean square over its whole length is known. On
-    the left track, the mean square of every sinusoid is the same for all roads. On the right track, the share 2 a^2 (1 - a^2)
-    of a sinusoid's mean square varies, where a is the coherency of the tracks. The known share reduces the term with rho^2 in
-    cov(|y|, |y'|), which depends only on y^2. The terms with higher powers of rho remain, because they differ between roads.
+    The sinusoids of a road have fixed amplitudes, unlike those of a Gaussian signal, so the mean square over the road's whole
+    length is known. On the left track, the mean square of every sinusoid is the same for all roads. On the right track, the
+    share 2 a^2 (1 - a^2) of a sinusoid's mean square varies, where a is the coherency of the tracks. The known share reduces
+    the term with rho^2 in cov(|y|, |y'|), which depends only on y^2. The terms with higher powers of rho remain, because they
+    differ between roads.
     """
     low, high = (edge / (2 * math.pi * spectrum.speed) for edge in spectrum.band)
     length = min(spectrum.length, GRAIN)

@@ -222,7 +222,7 @@ class Iso8608(Section, Road):
 
     @property
     def spectrum(self) -> Spectrum:
-        """Spectrum of the road at its speed."""
+        """Spectrum of the road when it is driven at the speed `speed`."""
         low, high = (2 * np.pi * self.speed * n for n in self.band)
         density = (2 * np.pi * N0) ** 2 * self.roughness * self.factor**2 * self.speed
         return Spectrum(density, (low, high), self.speed, self.length, self.track_width, self.waviness)
@@ -271,7 +271,7 @@ class Iso8608(Section, Road):
 
 
 def long_enough(distance: float) -> float:
-    """Returns the length [m] that a road needs so that it does not repeat within the given distance [m]."""
+    """Returns the length [m] that a road must have if it is not to repeat within the driven distance [m]."""
     return LENGTH * 2 ** max(0, math.ceil(math.log2(distance / LENGTH))) if distance > 0 else LENGTH
 
 

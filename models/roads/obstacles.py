@@ -74,8 +74,8 @@ class WattsHump(Obstacle):
 class Step(Obstacle):
     """Kerb, up or down: rounded as half a period of a cosine, or vertical.
 
-    No real tyre follows a vertical edge, but formulas often assume one. At a vertical edge, the height jumps. In the linear
-    response, the road velocity is an impulse at this edge. In MuJoCo, the height changes between two time steps.
+    No real tyre follows a vertical edge, but formulas often assume one. At a vertical edge, the height jumps. In linear
+    analysis, the road velocity at a vertical edge is an impulse. In MuJoCo, the height changes between two time steps.
 
     Raises:
         InputError: a number is out of its range, or the edge is not vertical (0) but shorter than the smallest allowed length.

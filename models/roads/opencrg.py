@@ -73,7 +73,7 @@ class Surface:
 
 
 def read_surface(path: Path) -> Surface:
-    """Reads the surface of an OpenCRG file. The file may refer to another file that contains the data.
+    """Reads the surface of an OpenCRG file. The OpenCRG file may refer to a second file, which contains the heights.
 
     Raises:
         InputError: PyOpenCRG is not installed, the file is not an OpenCRG file, or the file is incomplete.

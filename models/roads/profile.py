@@ -40,8 +40,8 @@ class Profile(MeasuredRoad):
     """Measured road: heights over distance, joined by straight lines (ASTM E1926) or by a cubic spline.
 
     Before the first point, the road is the plane on which the vehicle starts. The plane contains the first heights and has the
-    mean slope of the first 11 m of both tracks. For a vehicle with one track, the slope is that of the track on which it
-    drives. After the last point, the road continues with the slope of the last 11 m.
+    mean slope of the first 11 m of both tracks. For a vehicle with one track, the slope is that of the track on which the
+    vehicle drives. After the last point, the road continues with the slope of the last 11 m.
 
     Attributes:
         distance: distances of the points [m], ascending, shape (P,).

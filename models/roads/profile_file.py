@@ -105,7 +105,7 @@ def read_profile(path: Path, speed: float, given: TableSettings = TableSettings(
     Args:
         path: path of the file with the profile.
         speed: vehicle speed [m/s].
-        given: settings for headings that are missing or have no unit.
+        given: settings that replace headings which are missing or have no unit.
 
     Raises:
         InputError: the file cannot be read, or its numbers are not a valid road. The message gives the file and the line.
@@ -234,7 +234,7 @@ def rdf_text(text: str) -> str:
     """Returns the table of an RDF file of the type `poly_line` with headings, and the line number of each row in the file.
 
     Raises:
-        InputError: the road has another type, or the file has no table.
+        InputError: the road in the file has a type other than `poly_line`, or the file has no table.
     """
     lines = [re.split(r"[$!]", line)[0].strip() for line in text.splitlines()]
     values = {name.strip().upper(): value.strip(" '\"").lower() for name, _, value in (line.partition("=") for line in lines)}
@@ -323,7 +323,7 @@ def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: 
 def _other_length(table: NumberTable, headings: Sequence[Heading], distance: Array, heading: Heading, ragged: bool) -> list[str]:
     """Returns a warning if a column of distance differs from the length of the path through coordinates in the same table.
 
-    If the coordinates cannot be read, there is no warning.
+    If the coordinates cannot be read, the function returns no warning.
 
     Raises:
         InputError: the difference is larger than map projections cause, for example because the column contains station
@@ -346,7 +346,7 @@ def _check_tracks(distance: Array, heights: Array, first: int) -> None:
 
     Args:
         distance: values of the first column, shape (P,).
-        heights: values of the other two columns, shape (P, 2).
+        heights: values of the second and third column, shape (P, 2).
         first: number of the first line, for the message.
     """
     difference = heights[:, 0] - heights[:, 1]

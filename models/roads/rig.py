@@ -26,9 +26,9 @@ STROKE = 2.0  # largest distance that a post may move from its first height [m]
 class Rig(MeasuredRoad):
     """Posts of a test rig: a cubic spline through the heights of every post over time, with its exact time derivative.
 
-    Before its first point, a post stays at its first height; after its last point, it stays at its last height. At both ends,
-    the slope of the spline is zero. The vehicle does not move forward, so all wheels are independent and the speed has no
-    effect. The vehicle starts in equilibrium on the first heights, whose mean is the datum.
+    Before its first point, a post stays at its first height; after its last point, it stays at its last height. The slope of
+    the spline is zero at the first and at the last point. The vehicle does not move forward, so all wheels are independent and
+    the speed has no effect. The vehicle starts in equilibrium on the first heights, whose mean is the datum.
 
     Attributes:
         time: times of the points [s], ascending, shape (P,).
@@ -65,7 +65,7 @@ class Rig(MeasuredRoad):
         """Returns the name of the post under a wheel.
 
         Raises:
-            InputError: no post has the name of this wheel.
+            InputError: no post has a name of the wheel.
         """
         for post in self.posts:
             if post_name(post) in _names(wheel):

@@ -73,7 +73,7 @@ class Road(ABC):
     def from_start(self) -> "Road":
         """The road relative to the steady motion in which the vehicle starts (`MeasuredRoad`).
 
-        If the vehicle starts in equilibrium on flat ground, this is the road itself.
+        For a vehicle that starts in equilibrium on flat ground, the result is the road itself.
         """
         return self
 
@@ -517,8 +517,9 @@ class RoadInput:
     def steady_signals(self, time: Array) -> Array | None:
         """Returns the vehicle's signals in the steady motion, computed from the linear model.
 
-        The state is constant, x = -A^-1 (Bw w + Br z_r). Velocities are those of the inclined plane. Deflections are zero with
-        two exceptions: posts can warp the vehicle, and the weight of an inclined body with a roll or pitch axis has a moment.
+        The state is constant, x = -A^-1 (Bw w + Br z_r). In the steady motion, velocities are those of the inclined plane on
+        which the vehicle starts. Deflections are zero with two exceptions: posts can warp the vehicle, and the weight of an
+        inclined body with a roll or pitch axis has a moment.
 
         Args:
             time: times [s], shape (T,).

@@ -57,7 +57,7 @@ class Multisine(Section, Road):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Time at which the road begins [s]. The velocity jumps at this time; later, the road is smooth."""
+        """Time at which the road begins [s]. The road velocity jumps when the road begins; later, the road is smooth."""
         return (0.0,)
 
     def describe(self) -> dict[str, Any]:
@@ -79,7 +79,7 @@ class Multisine(Section, Road):
         return replace(self, amplitudes=tuple(factor * a for a in self.amplitudes))
 
     def to_height(self, height: float, time: Array) -> "Multisine":
-        """Returns the road scaled to a given peak magnitude at given times.
+        """Returns the road with heights scaled so that their peak magnitude at the sample times has the requested value.
 
         Args:
             height: peak magnitude of the height [m].

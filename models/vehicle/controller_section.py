@@ -67,7 +67,9 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Giv
 
     @property
     def errors(self) -> WeightedErrors | None:
-        """Uncertainties of measurements and forces with a frequency-dependent weight; None if there are none."""
+        """Uncertainties of measurements and forces with a frequency-dependent weight; None for a section without these
+        uncertainties.
+        """
         weights = {name: one for name, one in self.tolerance.items() if isinstance(one, Filter)}
         return WeightedErrors(weights) if weights else None
 

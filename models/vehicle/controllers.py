@@ -76,7 +76,8 @@ class ControllerEntry:
             certificate.
         hardware: sensor noise, actuator lag and loads for which the controller is designed and certified.
         goals: goals for the design or evaluation of a gain; None for a design that minimises the norm.
-        errors: uncertainties of measurements and forces with a frequency-dependent weight; None if there are none.
+        errors: uncertainties of measurements and forces with a frequency-dependent weight; None for a controller without these
+            uncertainties.
         study: True for a theoretical study, in which the law measures heights above a flat datum.
         forced: True if the controller drives force actuators (`actuators = "force"`), even on a vehicle with semi-active
             dampers.
@@ -106,7 +107,7 @@ class ControllerEntry:
 
     @property
     def law(self) -> LinearLaw | None:
-        """The linear law if the file contains its numbers; otherwise None."""
+        """The linear law if the file contains the numbers of the law; None otherwise."""
         return self.source.given
 
     @property
@@ -253,7 +254,9 @@ class GivenSection(SignalSection):
 
 
 def _section_class(given: Any) -> type[GivenSection]:
-    """Returns the class that reads a section: `GivenSection`, or `ControllerSection` if the section has any other key."""
+    """Returns the class that reads a section: `GivenSection`, or `ControllerSection` if the section has a key that
+    `GivenSection` lacks.
+    """
     few = not isinstance(given, Mapping) or {*given} <= {*keys(GivenSection)}
     return GivenSection if few else FEATURES.load("all keys of controllers").ControllerSection
 
@@ -330,7 +333,7 @@ def _entry(
 ) -> ControllerEntry:
     """Returns the controller that a section describes.
 
-    `read_controllers` then checks the controller together with other entries of the file.
+    `read_controllers` later checks that the controller fits the other sections of the file.
     """
     forced = asked.actuators is not None
     dampers, limits = ({}, limits) if forced or not dampers else (dampers, limits.without_actuators)

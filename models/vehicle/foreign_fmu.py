@@ -1,9 +1,9 @@
 """FMUs of other tools (FMI 2 and 3, co-simulation) as controllers. FMPy runs each FMU in a child process.
 
 A vehicle file names an FMU with `fmu = "their.fmu"`. The inputs of the FMU have the names and units of the measured signals,
-and its outputs are the control forces. If an FMU has other names, the keys `inputs = { In1 = "suspension_deflection" }` and
-`outputs` assign signals to them. At each sample, the FMU advances by one step, to the time of the next sample. The outputs of
-the step are the control forces, which are held until the next sample.
+and the outputs of the FMU are the control forces. If an FMU uses names that are not signal names, the keys `inputs = { In1 =
+"suspension_deflection" }` and `outputs` assign signals to these names. At each sample, the FMU advances by one step, to the
+time of the next sample. The outputs of the step are the control forces, which are held until the next sample.
 """
 
 import hashlib
@@ -123,7 +123,7 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
     """Returns the variables of the measured signals, and the variables of the forces in the order of the corners.
 
     Raises:
-        InputError: the FMU is not for co-simulation, or has other inputs, outputs or units.
+        InputError: the FMU is not for co-simulation, or its inputs, outputs or units do not match the controller.
     """
     if description.fmiMajorVersion == 1 or description.coSimulation is None:
         raise InputError(f"it has FMI {description.fmiVersion}{'' if description.coSimulation else ', no co-simulation'}; {GIVE}")

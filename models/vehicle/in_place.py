@@ -30,10 +30,10 @@ def with_contents(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
 
     Args:
         text: text of the vehicle file.
-        folder: folder of the vehicle file. Paths in the vehicle file are relative to this folder.
+        folder: folder of the vehicle file. Paths in the vehicle file are relative to this `folder`.
 
     Returns:
-        The complete text, and the paths of the other files.
+        The complete text, and the paths of the files whose contents it contains.
 
     Raises:
         InputError: the text is not TOML, or a file is missing or has invalid contents. The message contains the name of the
@@ -61,7 +61,8 @@ def with_sections(text: str, lines: Sequence[str]) -> str:
 
 
 def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
-    """Returns the text of a vehicle file for another folder. Paths of Python laws and FMUs become relative to that folder.
+    """Returns the text of a vehicle file after adapting it to a new folder. Paths of Python laws and FMUs become relative to
+    that folder.
 
     Args:
         folder: folder to which the vehicle file is written.

@@ -34,7 +34,7 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
         static law.
 
     Raises:
-        InputError: the file does not have this format, or does not contain exactly one controller.
+        InputError: the file is not a MATLAB file of versions 4 to 7, or does not contain exactly one controller.
     """
     where, values = _only_controller(matlab_variables(content))
     matrices = {
@@ -114,7 +114,7 @@ def _numbers(name: str, value: Any) -> Array:
 
 
 def _check_plain(matrices: Mapping[str, Any]) -> None:
-    """Raises InputError if the struct of a system has other fields that would change the law, such as delays."""
+    """Raises InputError if the struct of a system has further fields that would change the law, such as delays."""
     E = _numbers("E", matrices["E"]) if "E" in matrices else np.zeros((0, 0))
     if E.size and not np.array_equal(E, np.eye(len(E))):
         raise InputError("E is not the identity; in MATLAB, convert the system to x' = A x + B y with ss(sys, 'explicit')")

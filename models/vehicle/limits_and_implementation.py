@@ -1,6 +1,6 @@
 """`[limits]` and `[implementation]` of a vehicle file: properties of a real car that linear analysis ignores.
 
-By default, there are no limits, and the implementation is ideal.
+By default, the vehicle has no limits, and the implementation is ideal.
 """
 
 import math
@@ -205,7 +205,7 @@ def command_limiter(vehicles: Sequence[Any], timestep: float) -> CommandLimiter 
     """Returns the limiter for the commands of N vehicles; None if none of the vehicles has a rate limit.
 
     Args:
-        vehicles: the vehicles. If any of these vehicles has a rate limit, none may have semi-active dampers.
+        vehicles: the vehicles. If any of the vehicles has a rate limit, none of the vehicles may have semi-active dampers.
         timestep: sample period of controllers that do not define one [s].
     """
     if all(vehicle.limits.force_rate is None for vehicle in vehicles):
@@ -254,7 +254,9 @@ class Implementation(Section):
 
     @property
     def hold_intervals(self) -> tuple[tuple[float, int], ...]:
-        """Intervals of constant force within a sample period, each as its share of the period and its delay [samples]."""
+        """Intervals of constant force within a sample period, each with its share of the period and with the delay of its force
+        [samples].
+        """
         late = math.floor(self.delay)
         share = self.delay - late
         return ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
@@ -374,7 +376,7 @@ def hold_intervals(implementation: Implementation, timestep: float) -> tuple[tup
 
 
 def check_period(name: str, period: float | None, implementation: Implementation) -> None:
-    """Checks that a law with its own sample period is implemented with this period.
+    """Checks that a law with a sample period of its own is implemented with the same sample period.
 
     Args:
         name: name of the controller, for the message.

@@ -1,8 +1,8 @@
 """MuJoCo model of a vehicle, built by MjSpec from the MJCF of its type; and a test of whether the model is linear.
 
-A quarter-car moves only vertically, so it is linear for motions of any size within its limits. A body that pitches or rolls is
-nonlinear, and so is a spring that does not act along a joint. The test of linearity uses the compiled model, so it works for
-any vehicle type.
+A quarter-car moves only vertically, so its model is linear for motions of any size within its limits. A body that pitches or
+rolls is nonlinear, and so is a spring that does not act along a joint. The test of linearity uses the compiled model, so it
+works for any vehicle type.
 """
 
 import contextlib
@@ -204,7 +204,8 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
     Args:
         vehicle: vehicle whose model is built.
         timestep: integration step [s].
-        drawn: False to omit visual parts. Without visual parts, a step gives the same numbers, but takes about 5 % less time.
+        drawn: False to omit visual parts. Without visual parts, a simulation step gives the same numbers, but takes about 5 %
+            less time.
 
     Raises:
         InputError: `build_spec` raises this error, or the model does not match the equations of motion.
@@ -218,7 +219,7 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
 
 
 def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model without a sensor, body or other name that the equations of motion use."""
+    """Refuses a model that lacks the name of a sensor, a body or another object that the equations of motion use."""
     kind, missing = vehicle.kind, []
     sensors = {model.sensor(i).name for i in range(model.nsensor)}
     parts = [part for name in vehicle.sensed_signals for part in kind.combined.get(name, {name: 1.0})]
@@ -302,7 +303,7 @@ def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 
 
 def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
-    """Returns the MJCF of the model that `build_model` compiles, with exact numbers, as it is written to logs."""
+    """Returns the MJCF text of the model that `build_model` compiles, with exact numbers, for logs."""
     spec = build_spec(vehicle, timestep)
     spec.compiler.savecompiled = False  # MuJoCo would round the compiled values to six digits
     return spec.to_xml()
@@ -342,7 +343,7 @@ TRIALS = 3
 
 @functools.lru_cache(maxsize=16)
 def has_geometry(vehicle: Vehicle) -> bool:
-    """Returns True if the model is linear for small motions only, whatever its parameters.
+    """Returns True if the model is linear for small motions only, whatever the values of its parameters are.
 
     The model is nonlinear for one of three reasons. Masses, weights or lever arms of tendons and actuators may change with the
     position. A spring or damper may be a polynomial. A sensor may measure more than a sum of positions, velocities and

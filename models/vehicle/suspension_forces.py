@@ -34,9 +34,9 @@ class SuspensionForces:
             vehicles: the N vehicles, or one vehicle.
             by_motor: True to include only parts that MuJoCo cannot represent with its own elements.
             contacts: False to omit parts that have no effect within the linear range, such as bump stops.
-            whole: True to add the linearised forces of the elements of `[parts]`. Linear models contain these forces, but the
-                equations of motion of the vehicle types do not. If `whole` is True, the rates of internal states are complete.
-                If `whole` is False, these rates are deviations from the linear model.
+            whole: True to add the linearised forces of the elements of `[parts]`. Linear models contain the linearised forces,
+                but the equations of motion of the vehicle types do not. If `whole` is True, the rates of internal states are
+                complete. If `whole` is False, these rates are deviations from the linear model.
         """
         suspensions, inputs = vehicles[0].kind.suspensions, vehicles[0].linear_model.inputs
         rows = [_forces(vehicle, by_motor, whole, contacts) for vehicle in vehicles]
@@ -63,7 +63,7 @@ class SuspensionForces:
 
     @property
     def moves(self) -> bool:
-        """True if the rate of an internal state of a part differs from its rate in the linear model."""
+        """True if the rate of a part's internal state differs from the rate in the linear model."""
         return any(len(kept) for _, _, kept, _ in self._stacks)
 
     def __call__(self, d: Array, v: Array, inputs: Array, z: Array | None = None) -> Array:

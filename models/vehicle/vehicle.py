@@ -159,7 +159,7 @@ class Vehicle(ShownResult):
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
         curves: characteristics of nonlinear dampers and springs, by the parameter that each characteristic replaces.
         dampers: semi-active dampers that replace actuators, by name of the control force.
-        sums: weighted sums of signals in z (34); their rows follow the rows of single signals.
+        sums: weighted sums of signals in z (34); in z, the rows of sums follow the rows of single signals.
         elements: force elements of `[parts]`.
         force_limits: limits of the force actuators, for controllers with `actuators = "force"` on a vehicle with semi-active
             dampers; None for vehicles without semi-active dampers.
@@ -211,9 +211,10 @@ class Vehicle(ShownResult):
         """Returns the vehicle with a new initial state for its runs, for drop and release tests.
 
         Args:
-            start: initial states [SI], or texts with a unit, such as "20 mm". The names are states of the linear model, such as
-                `suspension_deflection`, or `height`, the height by which the whole vehicle is lifted above the road. All other
-                states start in equilibrium. Without arguments, the whole vehicle starts in equilibrium.
+            start: initial values of states [SI], or texts with a unit, such as "20 mm". The names are states of the linear
+                model, such as `suspension_deflection`, or `height`, the height by which the whole vehicle is lifted above the
+                road. States that are not named start in equilibrium. Without arguments, the whole vehicle starts in
+                equilibrium.
 
         Returns:
             A copy of the vehicle with this initial state.
@@ -552,7 +553,7 @@ class Vehicle(ShownResult):
 
     @property
     def unladen(self) -> "Vehicle":
-        """The vehicle without the payload in `[payload]` of the vehicle file; the same vehicle if the file has no payload."""
+        """The vehicle without the payload in `[payload]` of the vehicle file; a vehicle without payload is unchanged."""
         toml_value = FEATURES.load("editing of TOML").toml_value
         data = parse_toml(self.text)
         if not data.pop("payload", None):
@@ -563,7 +564,7 @@ class Vehicle(ShownResult):
     def text_for(self, path: Path) -> str:
         """Returns the text of a vehicle file that describes this vehicle and will be saved at the given path.
 
-        Paths of Python laws in the text are relative to the folder of this file.
+        Paths of Python laws in the text are relative to the folder of the saved file.
 
         Raises:
             InputError: a vehicle file at this path could not be read, because a law or the vehicle type is in another folder.
@@ -601,7 +602,7 @@ class Vehicle(ShownResult):
 
     @cached_property
     def warnings(self) -> list[str]:
-        """Warnings about numbers that probably have another unit or are swapped, and about characteristics."""
+        """Warnings about characteristics, and about numbers that probably have a wrong unit or are swapped."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
         doubts = list[str]()
@@ -651,11 +652,13 @@ class Vehicle(ShownResult):
             PARTS.load("adjustable damper").check_measured(entry.name, entry.measured, self)
 
     def hardware(self, name: str) -> DesignConditions:
-        """Returns sensor noise, actuator lag and loads for the design of a controller; none of these for built-in controllers."""
+        """Returns sensor noise, actuator lag and loads for the design of a controller; for a built-in controller, the design
+        uses none.
+        """
         return self.controllers[name].hardware if name in self.controllers else NOMINAL
 
     def linear_entry(self, name: str) -> ControllerEntry:
-        """Returns the entry of a controller; linear analysis must apply to this controller.
+        """Returns the entry of a controller to which linear analysis applies.
 
         Raises:
             InputError: the file has no controller of that name, or its law is a Python law or a semi-active law.
@@ -678,7 +681,7 @@ def read_vehicle(file: str | Path) -> Vehicle:
         file: path of a vehicle file, or name of a built-in vehicle.
 
     Returns:
-        The vehicle, with its parameters in SI units.
+        The vehicle that the file describes, with parameters in SI units.
 
     Raises:
         InputError: the file is missing or is not TOML, or a key is missing, unknown or not allowed. The message gives the file
@@ -703,7 +706,7 @@ def resolved_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     """Replaces names of other files in the text of a vehicle file by the contents of these files.
 
     Returns:
-        The complete text, and the paths of the other files.
+        The complete text, and the paths of the files whose contents it contains.
 
     Raises:
         InputError: the text is not TOML, or another file is missing or invalid.
@@ -722,7 +725,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         folder: folder with custom vehicle types and Python laws; None allows only built-in types, and Python laws cannot run.
 
     Returns:
-        The vehicle, with its parameters in SI units.
+        The vehicle that the file describes, with parameters in SI units.
 
     Raises:
         InputError: the text refers to another file, which only `read_vehicle` reads, or is invalid for one of the reasons

@@ -72,8 +72,8 @@ def read_measured_log(
         path: path of the file.
         units: SI unit of each signal that may be read, by name of the signal.
         rate: sample rate of a file without a column of time [Hz]; None for a file with such a column.
-        columns: heading of each signal whose column has another name in the file, by name of the signal. If the file gives no
-            unit for a column, the heading in `columns` may contain the unit.
+        columns: heading in the file for each signal whose column does not have the signal's name, by name of the signal. If the
+            file gives no unit for a column, the heading in `columns` may contain the unit.
 
     Returns:
         The measured signals in SI units, with their times.
@@ -143,7 +143,9 @@ def is_time(heading: Heading) -> bool:
 
 
 def name_key(text: str) -> frozenset[str]:
-    """Returns the words of a name, independent of order and case. `FrontLeftTravel` and `travel FL` give the same result."""
+    """Returns the words of a name, independent of order and case. For example, the result is the same for `FrontLeftTravel` and
+    `travel FL`.
+    """
     words: list[str] = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower())
     return frozenset(part for word in words for part in CORNERS.get(word, word).split("_"))
 
@@ -184,7 +186,7 @@ def _scale(heading: Heading, si: str, name: str) -> float:
     """Returns the factor that converts a column from its own unit to the unit of its signal.
 
     Raises:
-        InputError: the unit is unknown, or belongs to another quantity.
+        InputError: the unit of the column is unknown, or is not a unit of the signal's quantity.
     """
     size = unit_size(heading.unit or si, si)
     if size is None:

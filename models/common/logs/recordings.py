@@ -51,8 +51,8 @@ def mdf_rows(path: Path) -> list[Sequence[Any]]:
 def mcap_rows(path: Path) -> list[Sequence[Any]]:
     """Returns the headings `topic.field`, and the recorded values, of all JSON channels in an MCAP file.
 
-    If every channel has a field `time`, `timestamp`, `stamp` or `t` [s], these fields give the times. If a channel lacks a
-    field of time, the log times of all messages are used.
+    If every channel has a field `time`, `timestamp`, `stamp` or `t` [s], the times are taken from the fields. If a channel
+    lacks a field of time, the log times of all messages are used.
 
     Raises:
         InputError: the file is not MCAP, is damaged, or has no numbers in JSON.
@@ -99,8 +99,8 @@ def _numbers(content: Any, path: str = "") -> Iterator[tuple[str, float]]:
 
 
 def _rows(columns: dict[str, tuple[Array, Array]], without: str) -> list[Sequence[Any]]:
-    """Combines columns that were recorded at different times into one table: headings, then rows. `without` is the message if
-    there are no columns.
+    """Combines columns that were recorded at different times into one table: headings, then rows. `without` is the error
+    message for the case that there are no columns.
     """
     if not columns:
         raise InputError(without)

@@ -9,8 +9,8 @@ are up, nose down and right side down. For a sprung mass m_s with its centre of 
 
 The payload position (x forward, y to the left) is relative to the centre of mass. A payload adds weight but no inertia. By
 default, springs and tyres carry each moment M, and the body turns by M / K, where K is their rotational stiffness. A vehicle
-file can define suspension links instead (`models/kinds/links.py`). The links' share of braking, cornering and gust loads, and
-the inertia of the wheels, then act as loads on the wheels.
+file can define suspension links that carry a share of the loads (`models/kinds/links.py`). With suspension links, the links'
+share of braking, cornering and gust loads, and the inertia of the wheels, act as loads on the wheels.
 """
 
 import math
