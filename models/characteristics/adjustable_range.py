@@ -12,12 +12,12 @@ If a controller commands a control force u*, the valve sets the coefficient that
     c = clip(c_s - u* / v, c_min, c_max).
 
 For a damper with characteristics, the coefficient is c = clip(c_s - u* / h(v), c_min, c_max), where h(v) is defined below. At
-each sample of the controller, the coefficient is computed from the velocity, and then held until the next sample. If the
-velocity v is 0 but the commanded force u* is not 0, v counts as slightly negative. If the velocity v and the commanded force u*
-are both 0, the damper has the nominal coefficient.
+each sample of the controller, the coefficient is computed from the damper's velocity, and then held until the next sample. If
+the velocity v is 0 but the commanded force u* is not 0, v counts as slightly negative. If the velocity v and the commanded
+force u* are both 0, the damper has the nominal coefficient.
 
-Instead of c_min and c_max, measured characteristics can be given: the force against velocity at the softest setting, F_min, and
-at the firmest setting, F_max (`models.parts`). At the valve setting s, a number from 0 (softest) to 1 (firmest), the damper
+Measured characteristics can replace c_min and c_max: the force against velocity at the softest setting, F_min, and at the
+    firmest setting, F_max (`models.parts`). At the valve setting s, a number from 0 (softest) to 1 (firmest), the damper
 pulls with the force
 
     F = (1 - s) F_min(v) + s F_max(v) = F_min(v) + (c - c_min) h(v),    h = (F_max - F_min) / (c_max - c_min),
@@ -47,7 +47,7 @@ TOUCHING_DISTANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """Characteristics of a semi-active damper.
+    """Softest and firmest characteristic of a semi-active damper.
 
     Attributes:
         soft: characteristic at the softest setting.
@@ -59,7 +59,7 @@ class Envelope:
 
     @cached_property
     def knots(self) -> Array:
-        """Velocities of the points of both characteristics [m/s], shape (n,)."""
+        """Velocities at which the softest or the firmest characteristic has a point [m/s], shape (n,)."""
         return np.unique(np.concatenate([self.soft.x, self.hard.x]))
 
     @cached_property
@@ -149,7 +149,7 @@ class Damper:
         c_min: smallest damping coefficient [N s/m]; for a damper with characteristics, the slope of `soft` at velocity 0.
         c_max: largest damping coefficient [N s/m]; for a damper with characteristics, the slope of `hard` at velocity 0.
         bandwidth: corner frequency of the valve's first-order lag between commanded and actual coefficient [rad/s]; None for a
-            valve without lag.
+            valve that has no lag.
         pair: softest and firmest characteristic of the damper; None if both characteristics are straight lines.
         replaces: True if the semi-active damper replaces the suspension's own damper.
     """
@@ -167,7 +167,7 @@ class Damper:
 
     @property
     def words(self) -> str:
-        """Description of the damper in a phrase."""
+        """Description of the semi-active damper in a phrase."""
         lag = "" if self.bandwidth is None else f", with a valve of bandwidth {self.bandwidth:g} rad/s"
         between = "" if self.pair is None else " at velocity 0, between two curves"
         return f"a semi-active damper of {self.c_min:g} to {self.c_max:g} N s/m{between}{lag}"
@@ -218,7 +218,7 @@ class ActuatorSection(Section):
 
     @property
     def damper(self) -> Damper | None:
-        """The damper; None for a force actuator.
+        """The semi-active damper; None for a force actuator.
 
         Raises:
             InputError: the characteristics are not valid for a damper.

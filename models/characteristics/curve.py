@@ -9,9 +9,9 @@ The deviation of the force F from the straight line s x is a sum of ramps, each 
 
     F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i).
 
-The sum has a term for every segment whose slope is not s. In the term of segment i, k_i is the end of the segment that is
-closer to 0. A straight characteristic has no terms. The sum is also valid for a characteristic whose force falls in some
-segments.
+The sum has a term for every segment whose slope differs from the slope s at 0. In the term of segment i, k_i is the end of the
+segment that is closer to 0. A straight characteristic has no terms. The sum is also valid for a characteristic in which the
+force decreases in some segments.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ class Pieces:
     (..., P).
 
     Attributes:
-        slope: slope a of each segment [N per unit of the argument], shape (..., P).
+        slope: slope a of each segment, in N per unit of the argument (velocity or deflection), shape (..., P).
         start: end k of each segment that is closer to 0 [unit of the argument], shape (..., P).
         low: lower bound of the force [N], shape (..., P); infinite for a segment without end.
         high: upper bound of the force [N], shape (..., P); infinite for a segment without end.
@@ -78,7 +78,7 @@ class ForceCurve:
     Attributes:
         x: velocities or deflections of the points [m/s or m], ascending, including 0 between the first and the last point,
             shape (n,).
-        force: forces at the points [N], 0 at x = 0, shape (n,).
+        force: force at each point [N], 0 at x = 0, shape (n,).
         slope: slope of the straight line that linear analysis uses [N s/m or N/m].
         words: description of the characteristic, a phrase.
         at_rest: force of the user's table in equilibrium [N], which has been subtracted from `force`.
@@ -118,7 +118,7 @@ class ForceCurve:
         return replace(self, force=factor * self.force, slope=factor * self.slope, whole=whole, error=factor * self.error)
 
     def at_wheel(self, ratio: float) -> "ForceCurve":
-        """Returns the characteristic at the wheel, r F(r x), of an element with motion ratio r and force F."""
+        """Returns the characteristic at the wheel, r F(r x), of an element with motion ratio r and force F(x)."""
         return self if ratio == 1 else replace(self, x=self.x / ratio, force=ratio * self.force, slope=ratio**2 * self.slope)
 
     def about_load(self, more: float) -> "ForceCurve":
@@ -219,8 +219,8 @@ class StackedCurves:
     """Several characteristics that are evaluated together.
 
     Attributes:
-        pieces: segments of each characteristic, shape (..., P).
-        slope: slope of each characteristic in linear analysis, shape (...).
+        pieces: segments of each characteristic, P segments for each, shape (..., P).
+        slope: slope that linear analysis uses for each characteristic, shape (...).
     """
 
     pieces: Pieces

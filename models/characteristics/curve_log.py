@@ -72,7 +72,7 @@ def dissipation(velocity: Array, force: Array) -> float:
     The mean power is above 0 if the log gives force and velocity with the same sign.
 
     Raises:
-        InputError: the force does not depend on the velocity.
+        InputError: the measured force does not depend on the velocity.
     """
     power = float(np.mean((velocity - velocity.mean()) * (force - force.mean())))
     if not abs(power) > LEAST_CORRELATION * float(velocity.std() * force.std()):

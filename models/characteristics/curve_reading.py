@@ -1,6 +1,6 @@
 """`[curves]` of a vehicle file: tables of damper force against velocity, or of spring force against deflection.
 
-The tables are checked, and approximated by tables with fewer points.
+The tables in `[curves]` are checked, and approximated by tables with fewer points.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,14 +27,14 @@ FRICTION_POINTS = 601
 def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
     """Returns points of the friction force F tanh(v / v0).
 
-    Straight segments between the points have an error of at most `FRICTION_ERROR` F.
+    Straight segments between the points differ from the friction force by at most `FRICTION_ERROR` times F.
 
     Args:
         force: F [N].
         velocity: v0 [m/s].
 
     Returns:
-        Velocities [m/s] and forces [N] of the points, shapes (k,).
+        Velocity [m/s] and force [N] of each point, shapes (k,).
     """
     v = np.linspace(0.0, FRICTION_ENDS, FRICTION_POINTS)
     smooth = np.append(np.tanh(v[:-1]), 1.0)
@@ -72,7 +72,7 @@ class Argument(ListedValues):
     Attributes:
         name: key of the list in the file, such as "velocity".
         largest: largest allowed value; a larger value probably has a wrong unit.
-        small: smaller unit in which a value above `largest` is probably given, for messages.
+        small: smaller unit, such as mm, in which a value above `largest` is probably given, for messages.
         slope: SI unit of a slope, the unit of force divided by the unit of the argument.
     """
 
@@ -133,7 +133,7 @@ class TableSection(Section):
 
     @property
     def points(self) -> tuple[Array, Array]:
-        """Argument and values of the table, shapes (n,), positive in extension."""
+        """Argument (velocity or deflection) and values of the table, shapes (n,), positive in extension."""
         x, values = (np.array(getattr(self, name)) for name in (*self.arguments, self.of) if getattr(self, name) is not None)
         return (x, values) if getattr(self, "compression", None) is None else (-x[::-1], -values[::-1])
 
@@ -185,7 +185,7 @@ class SpringTable(StopTableSection):
 
 @dataclass(frozen=True)
 class DamperTable(CurveTable):
-    """Force of a damper, including the friction force F tanh(v / v0)."""
+    """Section with a table of a damper's force, to which a friction force F tanh(v / v0) can be added."""
 
     hints: ClassVar[Mapping[str, str]] = {"deflection": ALONE}
 
@@ -229,12 +229,13 @@ def read_curves(
 
     Args:
         section: the section `[curves]`.
-        parameters: parameters that a characteristic can replace, each with the variable on which the characteristic depends.
+        parameters: parameters that a characteristic can replace, each with the variable (such as velocity) on which the
+            characteristic depends.
         load: function that takes the name of a spring's parameter, and returns the static load of the spring [N]; None for an
             unknown load.
 
     Raises:
-        InputError: an entry is not a characteristic, or not valid for a suspension.
+        InputError: an entry is not a characteristic, or the characteristic is not valid for a suspension.
     """
     curves = {}
     for name, entry in section.items():
@@ -258,7 +259,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
         load: function that returns the static load of the spring [N], or None for an unknown load.
 
     Raises:
-        InputError: the entry is not a characteristic, or not valid for a suspension.
+        InputError: the entry is not a characteristic, or the characteristic is not valid for a suspension.
     """
     slopes, tables = [], []
     for one in entry if isinstance(entry, list) else [entry]:
@@ -343,7 +344,7 @@ def _deflection_under_load(x: Array, force: Array, load: float) -> float:
 def _knots(parts: Sequence[Array]) -> Array:
     """Returns the points of several characteristics in ascending order, without duplicates due to rounding.
 
-    The point at 0 always remains."""
+    The point at 0 is never removed."""
     x = np.unique(np.concatenate(parts))
     close = 2 * CLOSEST * (x[-1] - x[0])
     x = x[(np.abs(x) > close) | (x == 0)]
@@ -394,8 +395,8 @@ def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Ar
     The slopes of the approximation next to 0 are the slopes that the points have there.
 
     Args:
-        x: values of the argument, ascending, shape (n,).
-        force: force at each value [N], shape (n,).
+        x: velocity or deflection of each point, ascending, shape (n,).
+        force: force at each point [N], shape (n,).
         fit_error: largest allowed error as a share of the largest force; None for the default.
 
     Returns:
@@ -462,7 +463,9 @@ def _surface(where: str, entry: Mapping[str, Any]) -> ForceSurface:
 
 
 def _with_friction(curve: ForceCurve, friction: float, creep: float) -> ForceCurve:
-    """Returns the characteristic with an added friction F tanh(v / v0), which does not change the slope of linear analysis."""
+    """Returns the characteristic with an added friction F tanh(v / v0), which does not change the slope that linear analysis
+    uses.
+    """
     v, force = friction_points(friction, creep)
     x = np.unique(np.concatenate([curve.x, v]))
     straight = np.interp(np.clip(x, v[0], v[-1]), v, force)

@@ -1,10 +1,10 @@
 """Mean characteristic of a measured hysteresis loop: the points of a test that moves a damper, spring or stop back and forth.
 
-The measured force also depends on the direction of motion. Each point belongs to the branch on which the argument rises
-or to the branch on which it falls. The force of each branch is averaged in bins of the argument. The characteristic is the mean
-of both branches, and the hysteresis is half of their difference. Because of noise, the mean force may decrease in some ranges
-of the argument. A mean force that decreases is replaced by the closest non-decreasing function in the least-squares sense
-(isotonic regression).
+The measured force also depends on the direction of motion. Each point belongs to one of two branches: the argument rises on one
+branch, and falls on the other branch. The force of each branch is averaged in bins of the argument. The characteristic is the
+mean of both branches, and the hysteresis is half of their difference. Because of noise, the mean force may decrease in some
+ranges of the argument. A mean force that decreases is replaced by the closest non-decreasing function in the least-squares
+sense (isotonic regression).
 
 If a damper has play or friction, its slope at velocity 0 differs from the coefficient of a linear damper that dissipates the
 same energy in the test. For samples at a constant rate, the coefficient is the sum of F v divided by the sum of v^2, with force
@@ -29,15 +29,15 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
     """Returns the mean characteristic of a hysteresis loop, or None if the points do not form a loop.
 
     Args:
-        x: values of the argument in the order of the measurement, shape (n,).
+        x: velocity, displacement or compression at each point, in the order of the measurement, shape (n,).
         force: force at each value of the argument [N], shape (n,).
         unit: unit of the argument, for the returned phrase.
         at_rest: True to subtract the mean force at argument 0, which is caused by the gas in a damper.
 
     Returns:
-        Argument (ascending) and force of the mean characteristic, shapes (k,), and a phrase for the note. The phrase gives the
-        largest hysteresis, the subtracted force and, for a damper, the coefficient of a linear damper that dissipates the same
-        energy.
+        Argument (ascending) and force of the mean characteristic, shapes (k,), and a phrase for the characteristic's note. The
+        phrase gives the largest hysteresis, the subtracted force and, for a damper, the coefficient of a linear damper that
+        dissipates the same energy.
     """
     from scipy.optimize import isotonic_regression
     from scipy.signal import find_peaks

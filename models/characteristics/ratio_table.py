@@ -1,9 +1,9 @@
 """Motion ratio that changes with travel: a table of the ratio r against the deflection d at the wheel, with linear
 interpolation.
 
-Beyond the points of the table, the ratio is constant. The element's own travel D, the change of the distance between its two
-ends, is the integral of the ratio r over the deflection d, starting from equilibrium. `models.parts.ratio` computes the forces
-of an element with a motion ratio.
+Beyond the first and the last point of the table, the motion ratio is constant. The element's own travel D, the change of the
+distance between its two ends, is the integral of the ratio r over the deflection d, starting from equilibrium.
+`models.parts.ratio` computes the forces of an element with a motion ratio.
 """
 
 from collections.abc import Callable
@@ -107,21 +107,21 @@ class RatioTable:
         return np.stack([x[first], at[first], r[first], slope])
 
     def ratio_and_travel(self, deflection: Array) -> tuple[Array, Array]:
-        """Returns the ratio r and the travel D [m] at deflections [m], shapes (...)."""
+        """Returns the motion ratio r and the element's travel D [m] at deflections d [m], shapes (...)."""
         start, travel, ratio, slope = self._segments[:, self.x.searchsorted(deflection)]
         s = deflection - start
         turned = slope * s
         return ratio + turned, travel + s * (ratio + turned / 2)
 
     def slope(self, deflection: Array) -> Array:
-        """Returns the slope r' of the ratio [1/m] at deflections [m], shape (...).
+        """Returns the slope r' of the motion ratio [1/m] at deflections d [m], shape (...).
 
         At a point of the table, the slope is that of the segment below the point.
         """
         return self._segments[3][self.x.searchsorted(deflection)]
 
     def travel(self, deflection: Array) -> Array:
-        """Returns the travel D [m] at deflections [m], shape (...)."""
+        """Returns the element's travel D [m] at deflections d [m], shape (...)."""
         return self.ratio_and_travel(deflection)[1]
 
     def deflection(self, travel: Array) -> Array:

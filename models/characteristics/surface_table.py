@@ -1,4 +1,4 @@
-"""CSV files of a damper's force against velocity and deflection, in two forms.
+"""CSV files with a table of a damper's force against velocity and deflection, in one of two forms: a sheet or a list.
 
 A sheet has deflections in its first row and velocities in its first column. The first cell of a sheet contains the quantities
 and units: `velocity [mm/s] / deflection [mm] / force [N]`. A list has a column for each quantity, and a row for each pair of
@@ -35,7 +35,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
         give: description of the content that the file must have, for messages.
 
     Raises:
-        InputError: a sheet has no units, or a list does not contain each pair exactly once.
+        InputError: a sheet has no units, or a list does not contain each pair of velocity and deflection exactly once.
     """
     table = find_table(text, give)
     corner, across = _first_row(table)

@@ -1,4 +1,4 @@
-"""The array type that all signatures use, a check for matrices from users, and linear recursions.
+"""The type of all arrays in function signatures, a check of matrices from users, and the solution of linear recursions.
 
 Docstrings give the shape and unit of each array. Entries of an array are float64 unless a docstring describes the array as
 complex.
@@ -26,10 +26,10 @@ def is_masked(value: object) -> bool:
 
 
 def check_unmasked(name: str, value: object) -> None:
-    """Refuses masked values, because calculations would lose the mask.
+    """Refuses an array with masked values, because calculations would ignore the mask.
 
     Raises:
-        InputError: a value is masked. The message gives the name of the array.
+        InputError: a value of the array is masked. The message gives the name of the array.
     """
     if is_masked(value):
         raise InputError(f"{name} has masked values; fill them, for example with filled(0.0), or remove them")
@@ -41,7 +41,7 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
     Args:
         value: the matrix as an array or as nested lists. Complex numbers are allowed if all imaginary parts are 0.
         name: name of the argument, for messages.
-        largest: limit on the magnitude of an entry; infinity for no limit.
+        largest: largest allowed magnitude of an entry; infinity for no limit.
         expected: required shape as text, for messages; empty if any shape is allowed.
 
     Returns:

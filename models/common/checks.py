@@ -1,9 +1,9 @@
 """Checks of values against their type annotations. A value that does not fit raises an `InputError` with the name of the
 argument.
 
-`models.common.lazy` wraps every public function in `check_arguments`. Calls within the packages are not checked. Dataclasses
-derive from `CheckedFields`, or call `check_fields` in `__post_init__`. An annotation in quotes allows any value, because only
-type checkers resolve annotations in quotes.
+`models.common.lazy` wraps every public function in `check_arguments`. Arguments of calls from inside the packages are not
+checked. Dataclasses derive from `CheckedFields`, or call `check_fields` in `__post_init__`. An annotation in quotes allows any
+value, because only type checkers resolve annotations in quotes.
 """
 
 import inspect
@@ -76,7 +76,7 @@ WORDS: Mapping[Any, str] = {
 
 
 def check(name: str, value: Any, annotation: Any) -> Any:
-    """Returns a value if it fits its annotation. A list becomes the annotated array or tuple.
+    """Returns a value if it fits its annotation. A list is converted to the type of the annotation, an array or a tuple.
 
     If the annotation has a unit, a text is also allowed: `height="60 mm"` is 0.06.
 
@@ -100,8 +100,8 @@ def check(name: str, value: Any, annotation: Any) -> Any:
 
 
 def check_fields(value: Any, prefix: str = "") -> None:
-    """Checks the fields of a dataclass; the method `__post_init__` of the dataclass calls this function. Lists become the
-    annotated arrays and tuples.
+    """Checks the fields of a dataclass; the method `__post_init__` of the dataclass calls this function. A list in a field is
+    converted to the type of the annotation, an array or a tuple.
 
     Args:
         value: the instance of the dataclass.
@@ -221,8 +221,8 @@ class _UnfitError(Exception):
     """Raised for a value that does not fit its annotation.
 
     The first two arguments of the exception are the place of the wrong part in the value, such as "[0]", and the wrong part
-    itself. The last two arguments of the exception are the annotation that the wrong part does not fit, and a message. An empty
-    message is replaced by the default message.
+    itself. The last two arguments of the exception are the annotation that the wrong part does not fit, and a message. If the
+    message is empty, the default message is used.
     """
 
 

@@ -85,7 +85,7 @@ class Child:
         Raises:
             TimeoutError: the time limit has passed; the child is then terminated.
             EndedError: the child has ended.
-            Exception: the answer is an exception.
+            Exception: the child has answered with an exception, which is raised here.
         """
         try:
             # The remaining time may be negative, so it is limited to 0
@@ -135,7 +135,9 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
 
 def serve() -> None:
-    """Answers messages in the child process. The first message is the function that answers all later messages."""
+    """Answers the messages of the parent; this function runs in the child process. The first message is the function that
+    answers all later messages.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     with open(os.devnull, "rb") as empty, suppress(OSError):  # an OSError is ignored, because stderr may be closed

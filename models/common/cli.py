@@ -1,7 +1,7 @@
 """Start and end of a command. Every command that fails prints one line to stderr and returns an exit code.
 
-The module of a command calls `run` before any other import. Ctrl-C during the imports therefore also ends the command
-with a one-line message.
+The module of a command calls `run` before any other import. If a user presses Ctrl-C during the imports, the command therefore
+also ends with a one-line message.
 """
 
 import os

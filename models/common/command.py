@@ -79,7 +79,7 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
         """Parses the arguments and returns the known options and the unknown arguments.
 
-        Refuses a value that does not belong to an option, for example a part of a name with spaces.
+        Refuses a value that does not belong to an option, for example the second word of a name that has spaces but no quotes.
         """
         options, others = super().parse_known_args(args, namespace)
         if args and others and not others[0].startswith("-"):
@@ -87,7 +87,7 @@ class Parser(argparse.ArgumentParser):
         return options, others
 
     def _advice(self, args: Sequence[str]) -> str:
-        """Returns advice about the last argument that the parser does not expect."""
+        """Returns advice for the error message about the last unexpected argument."""
         first = max((i for i, one in enumerate(args) if one.startswith("-")), default=-1)
         option, _, value = args[first].partition("=") if first >= 0 else ("", "", "")
         values, action = [*filter(None, [value]), *args[first + 1 :]], self._option_string_actions.get(option)
@@ -235,7 +235,7 @@ def chosen_controllers(names: Sequence[str], given: Sequence[str] | None, usual:
     Args:
         names: names of all controllers of the vehicle.
         given: values of `--controller`.
-        usual: the controllers that are selected without `--controller`.
+        usual: names of the controllers that are selected without `--controller`.
 
     Raises:
         InputError: no controller is named, a name is unknown or given twice, or `all` is given together with a name.
@@ -259,7 +259,7 @@ def chosen_controllers(names: Sequence[str], given: Sequence[str] | None, usual:
 def chosen_of(
     vehicles: Mapping[str, Sequence[str]], given: Sequence[str] | None, usual: Sequence[str] = ()
 ) -> dict[str, list[str]]:
-    """Returns the controllers of several vehicles that `--controller` selects.
+    """Returns the controllers that `--controller` selects for several vehicles.
 
     For each vehicle, the result contains the selected controllers that this vehicle has.
 
@@ -286,7 +286,7 @@ def one_chosen(names: Sequence[str], given: str | None, usual: str = "") -> str:
     """Returns the controller that a single `--controller` selects.
 
     Args:
-        names: names of all allowed controllers.
+        names: names of all controllers that the user may choose.
         given: value of `--controller`.
         usual: controller that is used if `--controller` is not given; empty if the option is required.
 
@@ -316,7 +316,7 @@ class _Once(argparse.Action):
 
 
 class _Vehicles(argparse.Action):
-    """Option that may be given several times. The values on the command line replace the default."""
+    """Option that may be given several times. If the option is on the command line, its values replace the default."""
 
     def __call__(self, parser, namespace, values, option_string=None) -> None:
         before = getattr(namespace, self.dest) if self.dest in namespace.given else ()
@@ -356,7 +356,7 @@ _remarks = list[str]()  # warnings about vehicles and roads that the running com
 
 
 def print_remarks(given: Any) -> Any:
-    """Returns a vehicle or road after printing its warnings to stderr. A command prints each warning only once."""
+    """Returns a vehicle or road after printing its warnings to stderr. Each warning is printed only once per command."""
     for doubt in given.warnings:
         if doubt not in _remarks:
             _remarks.append(doubt)

@@ -15,7 +15,8 @@ _shortly.maxlevel, _shortly.maxstring, _shortly.maxlong, _shortly.maxother = 3, 
 
 
 class InputError(ValueError):
-    """Invalid input. The message is one line (`one_line`) that gives the wrong value, the allowed values and a correction.
+    """Invalid input. The message of an InputError is one line (`one_line`) with the wrong value, the allowed values and a
+    correction.
 
     Attributes:
         exit_code: exit code of a command that ends because of an InputError.
@@ -61,7 +62,7 @@ def list_names(names) -> str:
 
 
 def number_range(smallest: float, largest: float, unit: str = "") -> str:
-    """Returns the allowed range of a number with its unit, for a message; the units "1", "-" and "" denote pure numbers."""
+    """Returns the allowed range of a number with the unit, for a message; the units "1", "-" and "" denote pure numbers."""
     return f"a number from {smallest:g} to {largest:g} {'' if unit in ('1', '-') else unit}".rstrip()
 
 

@@ -1,9 +1,9 @@
-"""Reading and writing of files, and of TOML.
+"""Reading and writing of files, including TOML files.
 
 A file is written under a temporary name and then renamed, so no program ever reads an incomplete file.
 
 If the path of a file is a link, the target of the link is replaced. The new file has the same permissions as the file that it
-replaces. A pipe, a device or standard output receives the content when it is complete.
+replaces. A pipe, a device or standard output receives the content of the file when the content is complete.
 """
 
 import hashlib
@@ -66,7 +66,7 @@ def whole_file(path: Path, what: str, instead: str = "give another path") -> Ite
 
     Args:
         path: the file, a link to it, or `/dev/stdout`.
-        what: purpose of the file, for the error message.
+        what: purpose of the file, such as a report, for the error message.
         instead: advice that the error message gives if the file cannot be written.
 
     Raises:
@@ -168,7 +168,7 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
 
 @contextmanager
 def _system_errors(path: Path, what: str, instead: str) -> Iterator[None]:
-    """Turns an error of the operating system into an InputError, unless the error is that the reader of a pipe has ended."""
+    """Turns an error of the operating system into an InputError, except for the error that the reader of a pipe has ended."""
     try:
         yield
     except BrokenPipeError:
@@ -228,8 +228,8 @@ def reading(path: Path, purpose: str, give: str = "give another file") -> Iterat
         give: advice for the error message on what the user can do instead.
 
     Raises:
-        InputError: the block failed. If the block raises an InputError, the purpose and the path of the file are put in front
-            of the message.
+        InputError: the library has raised an error in the block. If the block raises an InputError, the purpose and the path of
+            the file are put in front of the message.
     """
     try:
         yield

@@ -24,7 +24,7 @@ def resolve_name(where: str) -> "Any":
 
 
 def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":
-    """Returns `__getattr__`, `__dir__` and `__all__` of a package with lazy imports.
+    """Returns `__getattr__`, `__dir__` and `__all__` for a package whose public names are imported lazily.
 
     Args:
         package: name of the package.

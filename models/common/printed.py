@@ -55,7 +55,7 @@ def by_text(said: Iterable[tuple[str, str]]) -> dict[str, str]:
     """Groups names by the text that belongs to them.
 
     Args:
-        said: pairs of name and text.
+        said: pairs of a name and the text that belongs to the name.
 
     Returns:
         A mapping from each text to all names that have this text, in backticks and separated by commas.
@@ -72,7 +72,7 @@ def three_digits(value: float) -> str:
 
 
 def percent(share: float) -> str:
-    """Returns a share in percent as text. Shares up to 1e-9 count as rounding errors and become 0."""
+    """Returns a share (0 to 1) as text in percent. Shares up to 1e-9 count as rounding errors and become 0."""
     if share <= 1e-9:
         return "0 %"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
@@ -104,7 +104,7 @@ _overwritten, _printing = threading.Event(), threading.Lock()
 def show(message: str) -> None:
     """Prints a line to stderr that the next call overwrites; an empty text clears the line.
 
-    A line that stays for more than `LONG_STAGE` also shows the elapsed seconds.
+    A line that stays for longer than `LONG_STAGE` also shows the elapsed seconds.
     """
     global _overwritten
     if not sys.stderr or not sys.stderr.isatty():
@@ -149,7 +149,7 @@ class Stages:
         show(f"{self._now}: {text}" if text else self._now)
 
     def counted(self, name: str, total: int, what: str) -> Callable[[int], None]:
-        """Begins a stage, and returns a function that shows how many items out of `total` are done."""
+        """Begins a stage of the command, and returns a function that shows how many items out of `total` are done."""
         self(name)
         return lambda done: self(f"{done} of {total} {what}")
 
@@ -194,7 +194,7 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str], most: int = 
     Args:
         sentences: sentences in the order in which they are printed.
         others: lines that are printed together with the sentences.
-        most: largest number of lines.
+        most: largest number of lines that may be printed.
         source: beginning of the line about omitted sentences.
     """
     room, lines = most - len(fit_lines(others)), list[str]()
@@ -207,7 +207,7 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str], most: int = 
 
 
 def title_lines(title: str, source: str) -> list[str]:
-    """Returns a title and, on the next line, the path of the file to which the title refers."""
+    """Returns two lines: a title, and the path of the file to which the title refers."""
     return [title, Whole(f"{GAP}{source}")]
 
 

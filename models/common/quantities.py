@@ -73,7 +73,7 @@ class Heading:
     """Heading of a column.
 
     Attributes:
-        text: whole text of the heading.
+        text: whole text of the heading, including the unit.
         name: text of the heading without the unit.
         unit: usual name of the unit; for an unknown unit, the text in the heading. Empty for a heading without a unit.
         column: number of the column, counted from 1.
@@ -86,8 +86,8 @@ class Heading:
 
     @property
     def quantity(self) -> str:
-        """Key in `QUANTITIES` of the column's quantity; empty if a word is unknown, or if the heading names no quantity or
-        several.
+        """Key in `QUANTITIES` of the column's quantity; empty if a word is unknown, or if the heading does not name exactly one
+        quantity.
         """
         named = {NAMES.get(word, "unknown") for word in self.words} - {""}
         if len(named) == 2:
@@ -174,6 +174,6 @@ def left_out_words(headings: Sequence[Heading], used: Collection[int]) -> list[s
 
 
 def _unit_of(written: str, units: Collection[str]) -> str:
-    """Returns the usual name of a unit in a heading."""
+    """Returns the usual name of a unit that a heading contains."""
     unit = unit_named(written)
     return "lbf" if unit == "lb" and "N" in units else unit

@@ -4,9 +4,9 @@ The functions that read roads, rigs, characteristics and logs use this module.
 
 Cells are separated by semicolons, tabs, commas or spaces, and may be in quotes. A comma that does not separate cells is a
 decimal comma. A table uses one decimal mark and no thousands separators. A comment begins with `#`; a line that begins with
-`%`, `!` or `//` is also a comment. Names and units of the columns are above the numbers, as in `force [kN]`, `height_cm` or
-`left / mm`. Units may be on a separate line. `csv.Sniffer` is not used, because it would take the decimal comma of `0,5;0,02`
-for the separator.
+`%`, `!` or `//` is also a comment. The names and units of the columns are on a line above the numbers, as in `force [kN]`,
+`height_cm` or `left / mm`. The units may be on a separate line between names and numbers. `csv.Sniffer` is not used, because it
+would take the decimal comma of `0,5;0,02` for the separator.
 """
 
 import csv
@@ -69,13 +69,13 @@ class NumberTable:
         """Returns the headings of all columns. The headings are on the line above the numbers, or above a line with units.
 
         Args:
-            units: units whose dimensions are allowed for columns.
+            units: units whose dimensions are allowed for the columns of the table.
             optional: True if the table needs no headings. For such a table, a comment is read as headings only if the comment
                 contains nothing but names of quantities.
-            alike: True if several columns may have the same name.
+            alike: True if several columns of the table may have the same name.
 
         Raises:
-            InputError: headings are missing, are equal, or contain a number.
+            InputError: headings are missing, two headings are equal, or a heading contains a number.
         """
         text = LINE_IN_QUOTES.sub(lambda cell: " ".join(cell[0].split()), "\n".join(self.lines[: self.first]))
         # The lists of headings have the key True for lines that are comments
@@ -139,7 +139,7 @@ class NumberTable:
         Args:
             columns: column numbers, counted from 0; empty for all columns. Columns that are not listed, and text after the last
                 column, are ignored.
-            ragged: True if a line may contain additional numbers after the last column.
+            ragged: True if a line may contain more numbers than the table has columns.
             gaps: True if cells may be empty or contain a text in `MISSING`, such as "n/a"; these cells become NaN.
 
         Raises:
@@ -184,7 +184,7 @@ class NumberTable:
 
         The cells are numbers, whose unit is in the heading, or times of day.
 
-        Times of day may cross midnight once.
+        Times of day may pass midnight once.
 
         Args:
             heading: heading of the column of times.
@@ -208,7 +208,7 @@ class NumberTable:
         """Returns all columns in SI units, by quantity.
 
         Args:
-            known: quantities that are allowed for columns.
+            known: quantities that the columns may contain.
 
         Raises:
             InputError: the quantity of a column is not in `known`, or `headings`, `Heading.scale` or `numbers` raises this
@@ -230,8 +230,8 @@ def table_text(path: Path) -> str:
     Text files are read as UTF-8; if they are not valid UTF-8, they are read as Windows-1252. For LabVIEW files, units are added
     to the headings. All other files are converted to lines whose cells are separated by tabs. For a spreadsheet (.xlsx), the
     text is the sheet that contains a table; if no sheet contains a table, it is the first sheet. For a MATLAB file (.mat), the
-    text contains the arrays; for a Parquet file (.parquet), the columns of numbers. For recordings (MDF4, .mf4, and MCAP,
-    .mcap), the text contains the channels.
+    text contains the arrays; for a Parquet file (.parquet), it contains the columns of numbers. For recordings (MDF4, .mf4, and
+    MCAP, .mcap), the text contains the channels.
 
     Raises:
         InputError: the package for spreadsheets is not installed, or the file is too large. The error is also raised if several
@@ -315,7 +315,8 @@ def _matlab_rows(content: bytes) -> list[Sequence[Any]]:
 
 
 def matlab_variables(content: bytes) -> dict[str, Any]:
-    """Returns the variables of a MATLAB file, version 4 to 7, by name. MATLAB's own entries begin with two underscores.
+    """Returns the variables of a MATLAB file, version 4 to 7, by name. In the result of SciPy, entries that are not variables
+    begin with two underscores.
 
     Raises:
         InputError: the file is not a MATLAB file, or has version 7.3.

@@ -1,7 +1,7 @@
 """Parallel work on several threads, with BLAS limited to a single thread.
 
-The matrices of this project are small. On a busy machine, BLAS threads that wait for each other would take a hundred times
-longer. In addition, the rounding errors of a design must not depend on the number of threads.
+The matrices of this project are small. On a busy machine, calculations with BLAS threads that wait for each other would take a
+hundred times longer. In addition, the rounding errors of a design must not depend on the number of BLAS threads.
 """
 
 import contextvars

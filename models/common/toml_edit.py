@@ -1,4 +1,4 @@
-"""Changes to a user's TOML text that keep comments, order and blank lines, and functions that write new sections."""
+"""Functions that change a user's TOML text but keep comments, order and blank lines, and functions that write new sections."""
 
 import json
 import re
@@ -34,7 +34,7 @@ def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
     """Returns a TOML text with replaced keys. A comment on the line of a replaced key stays on the line of the first new key.
 
     Raises:
-        InputError: the text is not TOML, or the changed text would not have exactly the expected values.
+        InputError: the text is not TOML, or the changed text would not contain exactly the expected values.
     """
     if not replacements:
         return text
@@ -86,7 +86,7 @@ def _place(body: list[Any], path: tuple[str, ...], line: Any = None) -> Any:
         line: place of the item whose line contains the whole body; None if every item of the body has its own line.
 
     Returns:
-        Two places, each as a body and an index: the item of the key, and the item on whose line the key is.
+        Two places, each given by a body and an index: the place of the key, and that of the item on whose line the key is.
     """
     from tomlkit.items import InlineTable
 

@@ -1,4 +1,4 @@
-"""Text descriptions of panels, as the text alternative of every figure."""
+"""Text descriptions of the panels of figures; every figure has such a description as its text alternative."""
 
 import numpy as np
 

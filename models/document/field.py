@@ -1,4 +1,4 @@
-"""A quantity of a result: its name, unit, digits, and key in JSON, for all forms of output.
+"""Quantity of a result, with the name, unit, digits and JSON key that it has in all forms of output.
 
 Quantities are the columns of a table, and the values of a `Record`.
 """
@@ -107,9 +107,9 @@ class Record(Generic[T]):
         """Prepares the record from the parts that give the values of the JSON object.
 
         Args:
-            parts: fields, names of attributes, records or functions that give the values. Fields without a key are omitted. The
-                name of an attribute is also the key of its value. The keys of objects that records and functions return become
-                keys of the JSON object.
+            parts: fields, names of attributes, records or functions that give the values. Fields that have no JSON key are
+                omitted. The name of an attribute is also the key of its value. The keys of objects that records and functions
+                return become keys of the JSON object.
             values: further values by key, after those of the parts: fields, functions, or names of attributes, such as
                 "certificate.norm".
         """
@@ -119,7 +119,7 @@ class Record(Generic[T]):
         self._parts: list[Callable[[T], Mapping[str, Any]] | Mapping[str, Any]] = [*keyed, values]
 
     def __call__(self, one: T) -> dict[str, Any]:
-        """Returns the object of a result, without keys whose value is `OMITTED_KEY`."""
+        """Returns the JSON object of a result, without keys whose value is `OMITTED_KEY`."""
         found: dict[str, Any] = {}
         for part in self._parts:
             found |= dict(part(one)) if callable(part) else {key: _value(get, one) for key, get in part.items() if key}

@@ -1,6 +1,6 @@
 """Figures drawn by matplotlib without a display: as files, and as SVG in pages and notebooks.
 
-Lengths are in px. In this module, one px is 1/72 inch, so a font size is the same number in px and in points.
+Lengths in figures are in px. In this module, one px is 1/72 inch, so a font size is the same number in px and in points.
 """
 
 import os
@@ -52,7 +52,7 @@ SETTINGS: dict[Any, Any] = {
 
 
 def check_drawing() -> None:
-    """Checks that figures can be drawn.
+    """Checks that matplotlib is installed, so that figures can be drawn.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -64,7 +64,7 @@ def check_drawing() -> None:
 
 
 def _matplotlib() -> Any:
-    """Returns matplotlib, even if the environment variable MPLBACKEND refers to a backend that is not installed.
+    """Imports and returns matplotlib, even if the environment variable MPLBACKEND refers to a backend that is not installed.
 
     The figures in this module do not need a backend. If MPLBACKEND is valid, its backend still applies to windows in which a
     user shows figures of his own.
@@ -100,7 +100,7 @@ class _Sheet:
         self.canvas = Canvas(figsize=(width / 72, height / 72), dpi=72)
 
     def box(self, left: float, top: float, width: float, height: float) -> tuple[float, float, float, float]:
-        """Returns a rectangle as fractions of the figure's width and height, with the origin at the figure's lower left corner."""
+        """Returns a rectangle as fractions of the figure's width and height, measured from the figure's lower left corner."""
         return left / self.width, 1 - (top + height) / self.height, width / self.width, height / self.height
 
     def write(self, x: float, y: float, text: str, **style: Any) -> None:
@@ -141,7 +141,7 @@ def write_picture(figure: Figure, *paths: Path) -> None:
 
 
 def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
-    """Returns the contour z = `height` as the x and y values of a curve, with NaN between separate parts.
+    """Returns the contour z = `height` as the x and y values of a curve, with NaN between separate parts of the contour.
 
     Args:
         x: horizontal grid, shape (N,).
@@ -247,7 +247,7 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
 
 
 def _draw_bars(sheet: _Sheet, bars: Bars, label: str, left: float, top: float) -> None:
-    """Draws bars. The name and the text of each bar are above the bar."""
+    """Draws bars. The name of each bar and its text are written above the bar."""
     from matplotlib.patches import Rectangle
 
     width = BARS - 16
@@ -281,7 +281,7 @@ def _draw_ground(axis: Any, ground: Classes | Bars | Spans | None) -> None:
 
 
 def _edges(centres: Array) -> Array:
-    """Returns the edges of equidistant cells."""
+    """Returns the edges of equidistant cells from the centres of the cells."""
     half = (centres[-1] - centres[0]) / (2 * max(1, len(centres) - 1))
     return np.append(centres - half, centres[-1] + half)
 
@@ -332,14 +332,16 @@ def ticks(
 
 
 def _places(axis: Any, values: Sequence[float], which: Literal[0, 1]) -> list[float]:
-    """Returns the positions of values on an axis, from 0 to 1. `which` is 0 for the horizontal and 1 for the vertical axis."""
+    """Returns the positions of values on an axis, from 0 to 1. The argument `which` is 0 for the horizontal axis and 1 for the
+    vertical axis.
+    """
     points = np.empty((len(values), 2))
     points[:, which], points[:, 1 - which] = values, (axis.get_ylim, axis.get_xlim)[which]()[0]
     return (axis.transScale + axis.transLimits).transform(points)[:, which].tolist()
 
 
 def _name_spans(sheet: _Sheet, axis: Any, spans: Spans, left: float, y: float, width: float) -> None:
-    """Writes the name of each shaded interval at its middle."""
+    """Writes the name of each shaded interval at the middle of the interval."""
     low, high = axis.get_xlim()
     for ends, name in zip(spans.ends, spans.names, strict=True):
         first, last = _places(axis, [min(max(end, low), high) for end in ends], 0)

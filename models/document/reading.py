@@ -1,4 +1,6 @@
-"""Tables and sentences for readers: short, aligned and in one notation. The data in CSV and JSON output are not changed."""
+"""Conversion of tables and sentences to a form for readers: short, aligned and in a uniform notation. The data in CSV and JSON
+output are not changed.
+"""
 
 import csv
 import re
@@ -38,7 +40,7 @@ class Reading:
     Attributes:
         headings: headings of the columns whose cells differ between rows.
         rows: cells of the columns in `headings`.
-        words: number of left-aligned columns.
+        words: number of columns with text, which are left-aligned.
         same: columns whose cells are equal in all rows, as `heading: value`.
         notes: repeated remarks, with their footnote marks.
         folded: True if the table is so long that a page collapses it.
@@ -177,7 +179,7 @@ def quoted_code(text: str) -> str:
 def page_text(text: str) -> str:
     """Returns a text as HTML. Text in backticks becomes a `code` element.
 
-    Lines may break in long names, which become `bdi` elements. Names that are written from right to left also become `bdi`
+    Long names become `bdi` elements, in which lines may break. Names that are written from right to left also become `bdi`
     elements, which isolate them from the text around them. Without `bdi` elements, such names would reverse the order of
     adjacent numbers and commas (Unicode Bidirectional Algorithm, UAX #9).
     """
@@ -215,7 +217,7 @@ def cut(text: str, room: float, size: float) -> str:
 
 
 def wrap_at_spaces(text: str, room: float, size: float) -> list[str]:
-    """Breaks a text at spaces into lines of at most the width `room`. Longer words are shortened."""
+    """Breaks a text at spaces into lines of at most the width `room`. A word that is wider than `room` is shortened."""
     lines = list[str]()
     for part in text.splitlines():
         lines.append("")

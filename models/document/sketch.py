@@ -29,7 +29,7 @@ SEAT, ABOVE = (-62, -36), 66  # vertical positions of the mass of a seat, and he
 
 @dataclass(frozen=True)
 class Strut:
-    """A wheel with its suspension and its tyre.
+    """Strut of a sketch: a wheel with its suspension and its tyre.
 
     Attributes:
         place: horizontal position of the wheel in the view [m].
@@ -55,7 +55,7 @@ class Strut:
 
 @dataclass(frozen=True)
 class View:
-    """One view of a vehicle.
+    """One view of a vehicle, such as the view from the side.
 
     Attributes:
         struts: struts from left to right.
@@ -96,7 +96,8 @@ class Sketch:
     Attributes:
         title: title of the sketch.
         views: views from top to bottom.
-        rows: symbol, meaning and value of each part of the vehicle, including parts that are not drawn. A symbol may be empty.
+        rows: a row for each part of the vehicle, drawn or not, with its symbol, meaning and value. The symbol of a part may be
+            empty.
     """
 
     title: str
@@ -214,7 +215,7 @@ def _box(across: tuple[float, float], down: tuple[float, float], *lines: str) ->
 
 
 def _letters(x: float, y: float, text: str, plain: bool = False) -> str:
-    """Returns a text centred at x. In a symbol, the part after the underscore is a subscript."""
+    """Returns a text centred at x. In a symbol, the characters after the underscore become a subscript."""
     if not plain and re.fullmatch(rf"{SYMBOL.pattern}(, {SYMBOL.pattern})*", text):
         text = SYMBOL.sub(_subscript, text)
     else:

@@ -19,12 +19,12 @@ BEST = "*"  # this mark follows the best number in a column
 
 
 def names_text(names: Iterable[str]) -> str:
-    """Returns names of controllers for a sentence: `a`, `b` and `c`."""
+    """Returns the names of several controllers as a list for a sentence: `a`, `b` and `c`."""
     return join_words([as_name(name) for name in names])
 
 
 def join_words(words: list[str]) -> str:
-    """Returns words for a sentence: a, b and c."""
+    """Returns several words as a list for a sentence: a, b and c."""
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
@@ -104,7 +104,7 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
 
 
 def _align_column(column: Sequence[str]) -> list[str]:
-    """Returns a column of numbers that are aligned even if the best numbers have a mark."""
+    """Returns a column of aligned numbers, in which a mark on the best numbers does not disturb the alignment."""
     heading, *numbers = column
     marked = any(cell.endswith(BEST) for cell in numbers)
     return [heading, *(f"{cell} " if marked and not cell.endswith(BEST) else cell for cell in numbers)]
@@ -161,5 +161,5 @@ class ShownResult:
 
 
 def facts(title: str, rows: Mapping[str, str]) -> Document:
-    """Returns a document with a line `name: text` for each fact. Empty facts are omitted."""
+    """Returns a document with a line `name: text` for each fact. A fact with an empty text is omitted."""
     return Document(title, notes(*(f"{name}: {text}" for name, text in rows.items() if text), detail="brief"))

@@ -31,8 +31,8 @@ class RoadChoice:
     """Road that a user has chosen, before speed, seed and vehicle are known.
 
     Attributes:
-        text: text by which the road was chosen.
-        road: the road at its default speed; for an OpenCRG file, its surface.
+        text: text with which the user chose the road.
+        road: the road at its default speed; for an OpenCRG file, the surface in the file.
         loads: loads on the body, in addition to the road.
     """
 
@@ -59,13 +59,13 @@ class RoadChoice:
         return self.road if isinstance(self.road, Profile) else None
 
     def build(self, vehicle: Vehicle, speed: float, seed: int, distance: float) -> Road:
-        """Returns the road for a vehicle.
+        """Returns the chosen road as driven by a vehicle.
 
         Args:
             vehicle: the vehicle that drives on the road; a road with two tracks needs the vehicle's track width.
             speed: vehicle speed [m/s].
             seed: seed of a random road.
-            distance: driven distance [m], over which a random road does not repeat.
+            distance: driven distance [m]; a random road does not repeat within this distance.
 
         Returns:
             The road with its loads on the body.
@@ -92,7 +92,8 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
         folder: folder to which file names are relative.
 
     Returns:
-        The chosen road. The method `build` of the result returns a `Road` for a vehicle, a speed, a seed and a distance.
+        The chosen road. The method `build` of the returned object returns a `Road` for a vehicle, a speed, a seed and a
+        distance.
 
     Raises:
         InputError: the name of a road or of a number is unknown, a value is not allowed, or a file is not a profile.

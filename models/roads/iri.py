@@ -7,18 +7,18 @@ over 250 mm, so the slope is constant between samples:
 
     s_i = (h_(i+b) - h_i) / (b step),    b step = 250 mm, b at least 1.
 
-The car starts in steady motion along the mean slope of the first 11 m. The IRI is the mean rectified slope of the car's
-suspension, |z_s' - z_u'| / V. Because the slope is constant between samples, the state transition is exact. The transition is
-computed in the modal coordinates of the car.
+The car starts in steady motion along the mean slope of the first 11 m. The IRI is the mean of the magnitude of the suspension
+slope, |z_s' - z_u'| / V, where V is the speed. Because the slope is constant between samples, the state transition is exact.
+The transition is computed in the modal coordinates of the car.
 
 A profile with evenly spaced points is used unchanged; a road without such points is sampled every 25 mm. A vehicle with two
 tracks has an IRI for each track, `left` and `right`. The value `mean` is the mean of both tracks' IRIs (MRI). The value
 `half_car` is the IRI of the mean of both profiles (HRI), which does not contain the warp of the road. Names: M. W. Sayers and
 S. M. Karamihas (1998), "The little book of profiling", UMTRI.
 
-On a random road, the response y of the car is Gaussian with the variance s^2, so E|y| = sqrt(2/pi) s. If rho is the correlation
-of the responses y and y' at two places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). The covariance of |y|
-at two places determines the standard deviation of the IRI among random roads of the same length.
+On a random road, the response y of the car is Gaussian with the variance s^2, so the mean of |y| is sqrt(2/pi) s. If rho is the
+correlation of the responses y and y' at two places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). The
+covariance of |y| at two places determines the standard deviation of the IRI among random roads of the same length.
 """
 
 import math
@@ -100,9 +100,9 @@ def missing(lines: Array, variances: Array) -> Array:
     """Returns how far the rms of `suspension_slopes` is below its final value after the start (the deficit), accumulated over
     the distance.
 
-    The deficit is relative to the final value, and is given every 250 mm. The response to a sinusoid is the steady-state
-    response plus a transient in each mode of the car. Sinusoids and places are evenly spaced, so the sum of the products of
-    steady-state response and transient over all sinusoids is a Fourier transform.
+    The deficit is relative to the final value of the rms, and is given every 250 mm. The response to a sinusoid is the
+    steady-state response plus a transient in each mode of the car. Sinusoids and places are evenly spaced, so the sum of the
+    products of steady-state response and transient over all sinusoids is a Fourier transform.
 
     Args:
         lines: spatial frequencies of a random road in multiples of 1 / `COUNTED_LINES` cycle/m, ascending positive integers,
@@ -136,7 +136,7 @@ def missing(lines: Array, variances: Array) -> Array:
 
 
 def _samples(step: float) -> int:
-    """Returns the number of samples in the moving average."""
+    """Returns the number of samples over which the moving average is taken."""
     return max(round(BASE / step), 1)
 
 
@@ -145,7 +145,8 @@ def _modes(step: float) -> tuple[Array, Array, Array]:
     """Returns the modes of the golden car for a profile that is sampled every `step` metres.
 
     Returns:
-        Rate of each mode per sample, and the factors of the mode in the response to a slope and in the response to the start.
+        Rate of each mode per sample, and the mode's factors in the response to a slope and in the response to the initial
+        state.
     """
     values, vectors = np.linalg.eig(A)
     time = step / SPEED
@@ -192,7 +193,7 @@ class Roughness:
 
     Attributes:
         name: name of the track, `left` or `right`; or `mean` or `half_car` for both tracks.
-        iri: roughness index of this road [m/km].
+        iri: roughness index of the road [m/km].
         expected: mean of the IRI over all roads with the spectrum of this road [m/km]; None for a road without a spectrum.
         spread: standard deviation of the IRI over all roads with the spectrum of this road [m/km]; None for a road without a
             spectrum.
@@ -207,7 +208,7 @@ class Roughness:
 def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughness, ...]:
     """Returns every IRI of a road over a distance.
 
-    The list is empty if the road is too short, if the points of a profile are too far apart, or for a rig.
+    The list is empty for a rig, if the road is too short, or if the points of a profile are too far apart.
 
     Args:
         road: the road; a measured profile ends at its last point.
@@ -246,12 +247,12 @@ def _without_loads(road: Road) -> Road:
 
 
 def slope_density(iri: float, low: float, high: float, waviness: float) -> float:
-    """Returns the one-sided density of the slope at `N0` [m/cycle], for a random road with a given mean IRI.
+    """Returns the one-sided spectral density of the slope at `N0` [m/cycle] for a random road with a given mean IRI.
 
     Args:
         iri: mean roughness index [m/km].
-        low: lower end of the band [cycle/m].
-        high: upper end of the band [cycle/m].
+        low: lower end of the road's frequency band [cycle/m].
+        high: upper end of the road's frequency band [cycle/m].
         waviness: exponent of the road spectrum; for the exponent 2, the slope is white noise.
     """
     return math.pi / 2 * (iri / 1e3) ** 2 / _unit_variance(low, high, waviness)
@@ -259,14 +260,18 @@ def slope_density(iri: float, low: float, high: float, waviness: float) -> float
 
 @lru_cache(maxsize=16)
 def _unit_variance(low: float, high: float, waviness: float) -> float:
-    """Returns the variance of the car's response to a road slope, divided by the slope's density at `N0` [cycle/m]."""
+    """Returns the variance of the car's response to a random road, divided by the spectral density of the road's slope at `N0`
+    [cycle/m].
+    """
     count = math.ceil((high - low) * LINES)
     n = low + (np.arange(count) + 0.5) * (high - low) / count
     return float(np.sum(np.abs(slope_response(n, STEP)) ** 2 * slope_power(n, waviness))) * (high - low) / count
 
 
 def _sample_tracks(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float, Array]:
-    """Returns the spacing of samples [m], and the heights of a road's tracks [m], shape (P, tracks)."""
+    """Returns the distance between samples of a road [m], and the heights of the road's tracks at the samples [m], shape (P,
+    tracks).
+    """
     if isinstance(road, Profile):
         spacing = np.diff(road.distance)
         step = float(np.median(spacing))
@@ -306,8 +311,8 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
         """Returns mean and standard deviation, among random roads, of the mean IRI of two responses of the car.
 
         Args:
-            own: spectrum of each response; both responses have the same spectrum.
-            other: cross-spectrum of the two responses; `own` for a single response.
+            own: spectrum of the first response, which is also that of the second response.
+            other: cross-spectrum of the two responses; equal to `own` if there is only one response.
             free: share of each sinusoid's mean square that varies between roads.
         """
         variance, of_squares, of_more = float(own.sum()), 0.0, 0.0

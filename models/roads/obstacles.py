@@ -72,10 +72,11 @@ class WattsHump(Obstacle):
 
 @dataclass(frozen=True)
 class Step(Obstacle):
-    """Kerb, up or down: rounded as half a period of a cosine, or vertical.
+    """Kerb, up or down; its edge is vertical, or rounded as half a period of a cosine.
 
-    No real tyre follows a vertical edge, but formulas often assume one. At a vertical edge, the height jumps. In linear
-    analysis, the road velocity at a vertical edge is an impulse. In MuJoCo, the height changes between two time steps.
+    No real tyre follows a vertical edge, but formulas often assume a vertical edge. At a vertical edge, the height of the road
+    jumps. In linear analysis, the road velocity at a vertical edge is an impulse. In MuJoCo, the height at a vertical edge
+    changes between two time steps.
 
     Raises:
         InputError: a number is out of its range, or the edge is not vertical (0) but shorter than the smallest allowed length.
@@ -94,7 +95,7 @@ class Step(Obstacle):
 
     @property
     def rise(self) -> float:
-        """Time that a wheel spends on the edge [s]."""
+        """Time that a wheel needs to pass the edge [s]."""
         return self.edge / self.speed
 
     @property
@@ -103,7 +104,7 @@ class Step(Obstacle):
         return self.start + self.rise
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of the edge and then of the step [m], which is equal for left and right wheels."""
+        """Returns the height of the road [m] on the edge and behind the edge, which is equal for left and right wheels."""
         if not self.edge:
             return np.where(np.asarray(t) > self.start + AT_ONCE, self.height, 0.0)
         return self.height / 2 * (1 - np.cos(np.pi * np.clip((t - self.start) / self.rise, 0, 1)))
@@ -121,7 +122,7 @@ class Step(Obstacle):
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:
-        """Time [s] and height [m] of the edge, if the edge is vertical."""
+        """Time [s] at which the first wheel reaches a vertical edge, and height of the edge [m]; empty for a rounded edge."""
         return () if self.edge else ((self.start, self.height),)
 
     def describe(self) -> dict[str, float | str]:
@@ -155,7 +156,7 @@ class Pothole(Obstacle):
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of the road [m], the sum of both steps."""
+        """Returns the height of the road [m], which is the sum of the two steps of the pothole."""
         down, up = self._edges
         return self._under(side) * (down.displacement(t) + up.displacement(t - self.duration + up.duration))
 

@@ -1,4 +1,4 @@
-"""Measured roads from files: columns of distance and height in many formats, or heights at a constant step.
+"""Reading of measured roads from files: columns of distance and height in many formats, or heights at a constant step.
 
 ERD is the format of the University of Michigan Transportation Research Institute. LTPP and ProVAL use ERD files to exchange
 profiles. An ERD file has a header of keywords, then heights at a constant step, for one or two tracks.
@@ -7,9 +7,9 @@ RDF files contain roads for tyre models in Adams and MotionView. RDF files of th
 and of the heights of the left and right track. On `poly_line` roads, vehicles start at distance 0, which is not always the
 first distance in the table.
 
-Surveys have two horizontal coordinates of each point, on a map or as latitude and longitude, in driving order. The distance is
-the length of the path in the horizontal plane. Steps in degrees are converted to metres with the radii of curvature of the
-ellipsoid WGS 84 (NIMA TR8350.2, 2000) at the latitude of the step.
+Surveys have two horizontal coordinates of each point, on a map or as latitude and longitude, in driving order. The distance of
+a point is the length of the path to this point in the horizontal plane. Steps in degrees are converted to metres with the radii
+of curvature of the ellipsoid WGS 84 (NIMA TR8350.2, 2000) at the latitude of the step.
 """
 
 import itertools
@@ -168,7 +168,7 @@ def choose_columns(
 ) -> Sequence[int]:
     """Returns the columns of distance and height, or of distance, left and right, counted from 0.
 
-    The columns are found by their headings or, if there are no headings, by their order.
+    The columns are identified by their headings or, if there are no headings, by their order.
 
     Args:
         table: table of numbers in the file, which contains the columns.
@@ -213,7 +213,7 @@ def erd_text(text: str) -> tuple[str, str]:
     """Returns the numbers of an ERD file as a table with headings, and the step as text with its unit.
 
     Raises:
-        InputError: the numbers are binary, or the header has no sizes or no end.
+        InputError: the numbers in the file are binary, or the header contains no sizes or has no end.
     """
     header, end, numbers = re.split(r"^(END)\s*$", text, maxsplit=1, flags=re.MULTILINE) if "\nEND" in text else (text, "", "")
     lines = header.splitlines()
@@ -289,7 +289,7 @@ def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: 
         ragged: True if rows may have different numbers of cells.
 
     Raises:
-        InputError: a unit or number is wrong, or noise makes the path much longer than the road.
+        InputError: a unit or a coordinate is wrong, or noise makes the path much longer than the road.
     """
     numbers, columns = table.numbers([one.column - 1 for one in headings], ragged)[0], columns_in_words(headings)
     if _in_degrees(headings):

@@ -24,17 +24,18 @@ STROKE = 2.0  # largest distance that a post may move from its first height [m]
 
 @dataclass(frozen=True, eq=False)
 class Rig(MeasuredRoad):
-    """Posts of a test rig: a cubic spline through the heights of every post over time, with its exact time derivative.
+    """Posts of a test rig: for each post, a cubic spline through its heights against time, with the exact time derivative.
 
     Before its first point, a post stays at its first height; after its last point, it stays at its last height. The slope of
     the spline is zero at the first and at the last point. The vehicle does not move forward, so all wheels are independent and
-    the speed has no effect. The vehicle starts in equilibrium on the first heights, whose mean is the datum.
+    the speed has no effect. The vehicle starts in equilibrium on the first heights of the posts; the mean of the first heights
+    is the datum.
 
     Attributes:
         time: times of the points [s], ascending, shape (P,).
         heights: heights of the K posts [m], shape (P, K).
-        posts: names of the wheels on the K posts. A name is that of the wheel's road signal or of the road's body in MJCF, or
-            the suffix of one of these names.
+        posts: names of the wheels on the K posts, a name for each post. A name is that of the wheel's road signal or of the
+            road's body in MJCF, or the suffix of one of these names.
         source: name of the file.
 
     Raises:
@@ -84,7 +85,7 @@ class Rig(MeasuredRoad):
         return float(first[self._index(side)] - first.mean()), 0.0
 
     def departure(self, t: Array, side: str = "") -> Array:
-        """Returns the spline of a post relative to its first height [m]."""
+        """Returns the height of a post relative to its first height [m], as given by the spline."""
         return self._splines[self._index(side)](np.clip(t, 0.0, self.duration))
 
     def departure_rate(self, t: Array, side: str = "") -> Array:
@@ -153,7 +154,7 @@ def post_name(text: str) -> str:
 
 
 def _names(wheel: Wheel) -> tuple[str, ...]:
-    """Returns the possible names of the post under a wheel, the usual name first."""
+    """Returns the names that the post under a wheel may have, the usual name first."""
     signal, body = wheel.road_displacement, wheel.road_body
     ending = signal.removeprefix("road_displacement_")
     return tuple(dict.fromkeys(post_name(name) for name in (ending, signal, body)))
@@ -204,7 +205,7 @@ def rig_from_csv(content: bytes, source: str) -> Rig:
     """Returns the rig that a text from `Rig.points` contains, with exact numbers.
 
     Raises:
-        InputError: the content is not valid.
+        InputError: the content of the text is not valid.
     """
     (_, *posts), table = read_points(content, "rig")
     return Rig(table[:, 0], table[:, 1:], tuple(posts), source)

@@ -30,7 +30,9 @@ LOWEST = 1e-5  # smallest height of a road [m]; rounding errors of the vehicle's
 
 
 class Road(ABC):
-    """Road driven at constant speed, or moving posts of a rig. At time 0, the first wheel reaches the start of the road."""
+    """Road that is driven at constant speed, or the moving posts of a rig. At time 0, the first wheel reaches the start of the
+    road.
+    """
 
     speed: float
     """Forward velocity of the vehicle [m/s]."""
@@ -161,11 +163,11 @@ class Road(ABC):
 
     @abstractmethod
     def describe(self) -> dict[str, float | str]:
-        """Returns the type of the road (key `type`), then its numbers in SI units."""
+        """Returns a description: the type of the road (key `type`), then the road's numbers in SI units."""
 
     @property
     def words(self) -> str:
-        """The description as one line of text, without long lists."""
+        """The description of the road as one line of text, without long lists."""
         kind, *short = [(key, value) for key, value in self.describe().items() if not isinstance(value, list) and value != ""]
         units = self.units
         number = [
@@ -220,7 +222,7 @@ class Obstacle(Section, Road):
         check_fields(self, f"{self.kind} ")
 
     def describe(self) -> dict[str, float | str]:
-        """Returns the type of the road (key `type`), and its fields."""
+        """Returns a description: the type of the road (key `type`), and the fields of the road."""
         return {"type": self.kind, **asdict(self)}
 
     def scaled(self, factor: float) -> Road:
@@ -230,7 +232,8 @@ class Obstacle(Section, Road):
 
 @dataclass(frozen=True)
 class Bump(Obstacle):
-    """Isolated bump, equation (61) of the paper: one period of a cosine. The default values are those of equation (62).
+    """Isolated bump, equation (61) of the paper: one period of a cosine. The default height, length and speed are those of
+    equation (62) of the paper.
 
     Raises:
         InputError: a number is out of its range, or has a unit of another dimension.
@@ -253,7 +256,7 @@ class Bump(Obstacle):
         return np.where(on, self.height / 2 * (1 - np.cos(2 * np.pi * t / self.duration)), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative of the height (61)."""
+        """Returns the time derivative of the height of the bump (61) [m/s]."""
         on = self._on(t, side)
         return np.where(on, self.height * np.pi / self.duration * np.sin(2 * np.pi * t / self.duration), 0.0)
 
@@ -284,7 +287,8 @@ class DerivedRoad(Road):
 
 
 class MeasuredRoad(Road):
-    """Road of measured heights. The vehicle starts on the road in steady motion: each wheel moves along a straight line.
+    """Road whose heights were measured. The vehicle starts on the road in steady motion: each wheel moves along a straight
+    line.
 
     Heights are relative to one datum, the mean of the heights at the first contact points.
     """
@@ -326,7 +330,8 @@ class MeasuredRoad(Road):
     def kinks(self) -> tuple[float, ...]:
         """Times of all points [s].
 
-        The points of a spline also count as kinks, because many spline segments in one step reduce the accuracy.
+        The points of a spline also count as kinks, because many spline segments within one integration step reduce the
+        accuracy.
         """
         return tuple(self.knots.tolist())
 
@@ -404,7 +409,7 @@ def means(function: Callable[[Array], Array], knots: Array, t: Array, length: fl
     Args:
         function: continuous function to average.
         knots: points at which the function has a kink, ascending, shape (K,).
-        t: middles of the intervals.
+        t: middle of each interval.
         length: length of every interval.
     """
     start, end = t - length / 2, t + length / 2
@@ -442,7 +447,7 @@ def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: V
 
     Args:
         function: `road.displacement` or `road.velocity`, the quantity to evaluate.
-        road: road to which this function belongs.
+        road: road to which `function` belongs.
         vehicle: vehicle with r wheels.
         t: times [s], shape (T,).
     """
@@ -465,7 +470,7 @@ class Edge(NamedTuple):
     Attributes:
         change: change of the heights under the r wheels from the sample's side of the edge to the opposite side [m], shape
             (r,).
-        behind: True if, at the sample, the wheels are already behind the edge.
+        behind: True if the wheels are already behind the edge at the time of the sample.
     """
 
     change: Array
@@ -474,7 +479,7 @@ class Edge(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RoadInput:
-    """Road and loads at the samples of a run. Each quantity is computed when it is first needed, and then cached.
+    """Road and loads at the samples of a run. Each of the quantities is computed when it is first needed, and then cached.
 
     Heights and velocities are relative to the steady motion in which the vehicle starts (`MeasuredRoad`). The steady motion is
     an inertial frame, in which the run starts in equilibrium. `steady_signals` returns the steady motion.
@@ -589,7 +594,7 @@ class RoadInput:
     def held_inputs(self) -> Array:
         """All inputs that are held constant during each time step: loads, and road velocities if tyres have damping.
 
-        The shape is (T, l), or (T, l + r) with tyre damping.
+        The shape of the inputs is (T, l), or (T, l + r) if tyres have damping.
         """
         if not self.vehicle.linear_model.tyres_damp:
             return self.held_loads
@@ -615,8 +620,8 @@ class RoadInput:
 
         Args:
             held: True for the road as MuJoCo holds it constant during each step. An edge in the first half of a step acts at
-                the beginning of the step. An edge in the second half acts at the end, where the sample already has the height
-                behind the edge. False to assign each edge to the last sample before the edge.
+                the beginning of the step. An edge in the second half of a step acts at the end of the step, where the sample
+                already has the height behind the edge. False to assign each edge to the last sample before the edge.
         """
         edges: dict[int, Edge] = {}
         for at, wheel, height in jumps_under_wheels(self.road, self.vehicle) if not self.earlier else ():
@@ -633,5 +638,5 @@ class RoadInput:
         return under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, after)
 
     def scaled(self, share: float) -> "RoadInput":
-        """Returns the input with heights and loads multiplied by a factor."""
+        """Returns this input with road heights and loads multiplied by a factor."""
         return replace(self, road=self.road.scaled(share))

@@ -20,7 +20,8 @@ MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # names that roads of
 
 @dataclass(frozen=True)
 class Multisine(Section, Road):
-    """Sum of sinusoids that begins at time 0. Heights are relative to the height at time 0. The road is flat before time 0.
+    """Road that is a sum of sinusoids and begins at time 0. Heights are relative to the height at time 0. The road is flat
+    before time 0.
 
     z_r(t) = s(t) - s(0),    s(t) = sum of a_i sin(omega_i t + phi_i),    t >= 0.
 
@@ -52,7 +53,7 @@ class Multisine(Section, Road):
         return np.where(t >= 0, self._sum(t, np.asarray(self.amplitudes), 0.0) - start, 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the exact time derivative [m/s]."""
+        """Returns the exact time derivative of the height [m/s]."""
         return np.where(t >= 0, self._sum(t, np.multiply(self.amplitudes, self.omega), np.pi / 2), 0.0)
 
     @property
@@ -61,7 +62,9 @@ class Multisine(Section, Road):
         return (0.0,)
 
     def describe(self) -> dict[str, Any]:
-        """Returns a description: number, frequency range and rms of the sinusoids, and the numbers of each sinusoid."""
+        """Returns a description: number, frequency range and rms of the sinusoids, then amplitude, frequency and phase of each
+        sinusoid.
+        """
         return {
             "type": self.name,
             "lines": len(self.omega),
@@ -104,7 +107,7 @@ def chirp(omega: Array, period: float, speed: float) -> Multisine:
     Source: M. R. Schroeder (1970), IEEE Trans. Inf. Theory 16, 85-89. With Schroeder's phases, the group delay at a frequency
     is proportional to the power at lower frequencies. The frequencies of the signal are therefore reached one after another
     during the period. The phases are phi_i = -T sum over l < i of p_l (omega_i - omega_l), where all F sinusoids have the same
-    power p_l = 1/F. Equal velocity amplitudes give white velocity, as on a road of ISO 8608 with w = 2.
+    power p_l = 1/F. With equal velocity amplitudes, the road velocity is white, as on a road of ISO 8608 with w = 2.
 
     Args:
         omega: ascending angular frequencies [rad/s], multiples of 2 pi / period, shape (F,).
@@ -137,7 +140,7 @@ def _white(omega: Array, phases: Array, speed: float, name: str) -> Multisine:
 
 @dataclass(frozen=True)
 class Sine(Obstacle):
-    """Sine that begins at a given phase.
+    """Road that is a sine and begins at a given phase.
 
     Heights are relative to the height at the beginning. The road is flat before the beginning.
 
@@ -159,7 +162,7 @@ class Sine(Obstacle):
         return np.where(t >= self.start, self.amplitude * (np.sin(self._angle(t)) - begins), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the exact time derivative [m/s]."""
+        """Returns the exact time derivative of the height [m/s]."""
         return np.where(t >= self.start, self.amplitude * 2 * np.pi * self.frequency * np.cos(self._angle(t)), 0.0)
 
     @property
@@ -201,7 +204,7 @@ class SineSweep(Obstacle):
         return self.amplitude * np.exp(-self._rate * t) * np.sin(self._angle(t))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the exact time derivative [m/s]."""
+        """Returns the exact time derivative of the height [m/s]."""
         on, s = (t >= 0) & (t <= self.duration), np.clip(t, 0.0, self.duration)
         fading = self._rate * np.exp(-self._rate * s) * np.sin(self._angle(s))
         return np.where(on, self.amplitude * (2 * np.pi * self.lowest * np.cos(self._angle(s)) - fading), 0.0)

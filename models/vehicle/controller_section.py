@@ -21,13 +21,13 @@ from models.vehicle.limits_and_implementation import LONGEST_PERIOD
 
 
 def _matrix(value: Any, context: Mapping[str, Any]) -> tuple[tuple[float, ...], ...]:
-    """Returns the rows of a matrix of the control law."""
+    """Returns the rows of one of the matrices of the control law."""
     return matrix_rows(value, "give a list of rows")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, GivenSection):
-    """Section `[controllers.NAME]` of a vehicle file with all its keys."""
+    """Section `[controllers.NAME]` of a vehicle file, with all keys that the section may have."""
 
     A: Annotated[Any, ReadBy("state matrix of the law x_c' = A x_c + B y, u = C x_c + D y", _matrix, allowed=ROWS)] = None
     B: Annotated[Any, ReadBy("input matrix of the law", _matrix, allowed=ROWS)] = None

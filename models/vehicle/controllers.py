@@ -42,7 +42,7 @@ class DesignConditions:
     By default, a design assumes exact measurements, actuators without lag, and no loads.
 
     Attributes:
-        noise: rms noise of each measured signal, in the unit of the signal; empty for exact measurements.
+        noise: rms value of the noise of each measured signal, in the unit of the signal; empty for exact measurements.
         bandwidth: corner frequency of the first-order lag of every actuator [rad/s]; None for actuators without lag.
         loads: loads on the body as additional disturbances, by name. Each value [N, N m] is the load to which a design gives
             the same weight as to a disturbance w of 1 m/s.
@@ -56,7 +56,7 @@ class DesignConditions:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The design conditions as keys of a controller's section."""
+        """The design conditions (noise, loads and lag) as keys of a controller's section."""
         given = {"noise": any(self.noise), "loads": dict(self.loads), "lag": self.bandwidth is not None}
         return {key: value for key, value in given.items() if value}
 
@@ -66,7 +66,7 @@ NOMINAL = DesignConditions()
 
 @dataclass(frozen=True, eq=False)
 class ControllerEntry:
-    """Controller of a vehicle file, created from a `ControllerSection`.
+    """Controller that a vehicle file describes, created from a `ControllerSection`.
 
     Attributes:
         name: name of the controller.
@@ -78,7 +78,7 @@ class ControllerEntry:
         goals: goals for the design or evaluation of a gain; None for a design that minimises the norm.
         errors: uncertainties of measurements and forces with a frequency-dependent weight; None for a controller without these
             uncertainties.
-        study: True for a theoretical study, in which the law measures heights above a flat datum.
+        study: True for a theoretical study, in which the control law may measure heights above a flat datum.
         forced: True if the controller drives force actuators (`actuators = "force"`), even on a vehicle with semi-active
             dampers.
     """
@@ -97,7 +97,7 @@ class ControllerEntry:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Signals that the controller uses: the measured signals, and the signals in its goals."""
+        """Signals that the controller uses: the measured signals, and the signals in the controller's goals."""
         return self.measured if self.goals is None else (*self.measured, *self.goals.signals)
 
     @property
@@ -112,14 +112,14 @@ class ControllerEntry:
 
     @property
     def request(self) -> DesignRequest:
-        """The requested design; the default request for a law that is not designed."""
+        """The design that the section requests; the default request for a law that is not designed."""
         return self.source.request or DesignRequest()
 
     @property
     def parts(self) -> dict[str, str]:
         """The source and the options of the controller, with keys and values as in a vehicle file.
 
-        Each key is also a row in the table that shows which options can be combined.
+        Each key of the result is also a row in the table that shows which options can be combined.
         """
         given = self.source.record | self.hardware.record | (self.goals.record if self.goals is not None else {})
         if self.errors is not None:
@@ -133,7 +133,7 @@ class ControllerEntry:
 
 
 def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]:
-    """Returns the measured signals after checking that the vehicle can measure them."""
+    """Returns the names of the measured signals after checking that the vehicle can measure these signals."""
     measurable, study = list_names(context["measurable"]), context.get("study", False)
     if not isinstance(value, list | tuple) or not value or not all(isinstance(signal, str) for signal in value):
         raise InputError(f"{HERE} = {short_repr(value)} is not a list of signals; give a list of signals from {measurable}")
@@ -165,7 +165,7 @@ def matrix_rows(value: Any, give: str, largest: float = np.inf) -> tuple[tuple[f
     Args:
         value: a number, a row of numbers or rows of numbers.
         give: end of the error message for an invalid value, which describes a valid value.
-        largest: largest magnitude of an entry.
+        largest: largest allowed magnitude of an entry.
     """
     rows = value if isinstance(value, list | tuple) else [value]
     if not all(isinstance(row, list | tuple) and all(is_finite(x) and abs(x) <= largest for x in row) for row in rows):
@@ -278,10 +278,10 @@ def read_controllers(
     Args:
         section: the section `[controllers]`.
         model: linear model of the vehicle.
-        limits: limits of the vehicle, for controllers that are designed for them.
-        implementation: implementation of the vehicle, for controllers that are designed for it.
+        limits: limits of the vehicle, for controllers that are designed for these limits.
+        implementation: implementation of the controllers, for controllers that are designed for this implementation.
         kind: vehicle type.
-        folder: folder of the vehicle file and of Python laws; None for a vehicle file from text.
+        folder: folder of the vehicle file and of Python laws; None if the vehicle file was given as text.
         sampled: default of the key `sampled` in a controller's section.
         dampers: suffix of the signal names at the suspension of each semi-active damper, by name of the damper's control force.
     """

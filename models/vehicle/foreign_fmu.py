@@ -26,11 +26,11 @@ GIVE = "give an FMU of FMI 2 or 3 for co-simulation"
 
 
 def law_of(file: str, sha256: str, names: Mapping[str, str]) -> Callable[[Sample, "ForeignFmu | None"], Any]:
-    """Returns a Python law that steps an FMU.
+    """Returns a Python law that advances an FMU by one step at every sample.
 
     Args:
         file: path of the FMU.
-        sha256: checksum that the file must have.
+        sha256: SHA-256 checksum that the file of the FMU must have.
         names: name of the signal for each variable of the FMU that does not have the name of a signal.
     """
 
@@ -45,10 +45,10 @@ class ForeignFmu:
     """Instance of an FMU. When this object is deleted, the FMU is terminated."""
 
     def __init__(self, file: Path, sha256: str, sample: Sample, names: Mapping[str, str]) -> None:
-        """Starts the FMU and initialises it with the first sample.
+        """Starts the FMU and initialises it with the first sample of the measured signals.
 
         Raises:
-            InputError: FMPy is missing, or the FMU cannot be read, does not fit the measured signals, or fails.
+            InputError: FMPy is not installed, or the FMU cannot be read, does not fit the measured signals, or fails.
         """
         if find_spec("fmpy") is None:
             raise InputError("an FMU needs FMPy; run pip install 'roadproof[fmi]'")
@@ -75,7 +75,7 @@ class ForeignFmu:
             fmu.exitInitializationMode()
 
     def step(self, sample: Sample) -> list[float]:
-        """Returns the forces for a sample [N].
+        """Returns the control forces for a sample of the measured signals [N].
 
         Raises:
             InputError: the FMU fails or ends the simulation.
@@ -93,7 +93,7 @@ class ForeignFmu:
 
     @contextmanager
     def _errors(self, give: str = "") -> Iterator[None]:
-        """Turns errors of FMPy and of the FMU into an InputError."""
+        """Turns any error of FMPy or of the FMU into an InputError."""
         _messages.clear()
         try:
             yield
@@ -120,7 +120,7 @@ def _end(fmu: Any) -> None:
 
 
 def _variables(description: Any, measured: Sequence[str], names: Mapping[str, str]) -> tuple[list[Any], list[Any]]:
-    """Returns the variables of the measured signals, and the variables of the forces in the order of the corners.
+    """Returns the FMU's variables for the measured signals, and those for the control forces in the order of the corners.
 
     Raises:
         InputError: the FMU is not for co-simulation, or its inputs, outputs or units do not match the controller.

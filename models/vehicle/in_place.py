@@ -1,10 +1,11 @@
-"""Replacement of file names in a vehicle file by the contents of the files: control laws, vehicle families and tables.
+"""Replacement of the names of files (control laws, vehicle families and tables) in a vehicle file by the contents of these
+files.
 
 After the replacement, the text of a vehicle is complete: logs, campaigns and saved files contain all numbers, so they can be
-    read without other files. A comment in the text gives the source of the numbers.
+read without other files. A comment in the text of the vehicle names the file from which the numbers were read.
 
 A TOML file with a family contains only the key `family`, as in a controller's section. A CSV file with a family has a row for
-each vehicle. The header contains names of parameters, and the numbers are factors on these parameters.
+each vehicle. The header of the CSV file contains names of parameters, and the numbers are factors on these parameters.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,8 +37,8 @@ def with_contents(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
         The complete text, and the paths of the files whose contents it contains.
 
     Raises:
-        InputError: the text is not TOML, or a file is missing or has invalid contents. The message contains the name of the
-            file.
+        InputError: the text is not TOML, or a file is missing or has invalid contents. The error message contains the name of
+            the file.
     """
     data = parse_toml(text)
     replacements = [*_families(data, folder), *_laws(data, folder), *curve_tables(data, folder)]
@@ -62,7 +63,7 @@ def with_sections(text: str, lines: Sequence[str]) -> str:
 
 def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
     """Returns the text of a vehicle file after adapting it to a new folder. Paths of Python laws and FMUs become relative to
-    that folder.
+    the new folder.
 
     Args:
         folder: folder to which the vehicle file is written.

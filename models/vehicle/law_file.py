@@ -30,8 +30,8 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
         content: bytes of the file.
 
     Returns:
-        The matrices or the gain by key, as in a vehicle file, and the sample period [s], which is None for a continuous or
-        static law.
+        The matrices or the gain by key, as in a vehicle file. The second value is the sample period [s]; None for a continuous
+        or static law.
 
     Raises:
         InputError: the file is not a MATLAB file of versions 4 to 7, or does not contain exactly one controller.
@@ -56,7 +56,9 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
 
 
 def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Returns the only controller in a file: its place in the file (for messages), and its variables or fields by name."""
+    """Returns the only controller in a file: the controller's place in the file (for messages), and its variables or fields by
+    name.
+    """
     names = (*MATRICES, *OTHERS, "K", *TRANSFER, *PERIODS)
     places = {"the file": {name: value for name, value in variables.items() if name in names}}
     for name, value in variables.items():
@@ -79,7 +81,7 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
 
 
 def _as_matrices(where: str, values: dict[str, Any]) -> dict[str, Any]:
-    """Returns the matrices of a law by their usual names. A transfer function becomes a controllable canonical form."""
+    """Returns the matrices of a law by their usual names. A transfer function is converted to a controllable canonical form."""
     if both := [f"{other} and {name}" for other, name in OTHERS.items() if other in values and name in values]:
         raise InputError(f"{where} has both {both[0]}; keep one of them")
     values = {OTHERS.get(name, name): value for name, value in values.items()}

@@ -40,7 +40,7 @@ NO_PERIOD = (
 
 @dataclass(frozen=True)
 class LimitsSection(StopSection):
-    """Keys of `[limits]` in a vehicle file, without the sections of axles and corners."""
+    """Keys of `[limits]` in a vehicle file, without the sections for single axles and corners."""
 
     actuator_force: Annotated[float, SI("N", "largest force of every actuator, in both directions")] | None = None
     actuator_bandwidth: Annotated[float, SI("rad/s", "corner frequency of every actuator's first-order lag")] | None = None
@@ -83,13 +83,17 @@ class Limits(LimitsSection):
         return FEATURES.load("stops").stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
 
     def stops(self, suspensions: "Sequence[Suspension]") -> "dict[str, BumpAndRebound]":
-        """Returns the bump and rebound stops of a vehicle by deflection signal. Suspensions without stops are omitted."""
+        """Returns the bump and rebound stops of a vehicle, by the deflection signal of the suspension. Suspensions without
+        stops are omitted.
+        """
         by_deflection = {suspension.deflection: self.stops_at(suspension.corner) for suspension in suspensions}
         return {deflection: stops for deflection, stops in by_deflection.items() if stops is not None}
 
     @property
     def written(self) -> dict[str, str]:
-        """The limits that exist, as text by key, in the form of a vehicle file. A value for one side has the key `key.side`."""
+        """The limits that exist, as text by key, in the form of a vehicle file. A limit for one side (bump or rebound) has the
+        key `key.side`.
+        """
         given = {name: value for name, value in vars(self).items() if name != "places"}
         given |= {f"{place}.{key}": getattr(one, key) for place, one in self.places for key in STOP_KEYS}
         flat = dict[str, Any]()
@@ -100,7 +104,7 @@ class Limits(LimitsSection):
 
     @property
     def record(self) -> dict[str, Any]:
-        """The limits as a section that `read_limits` accepts. Limits that are not given are None.
+        """The limits in the form of a section that `read_limits` can read. Limits that the vehicle file does not give are None.
 
         If `limit`, `force_rate` or the stop table is not given, the section does not contain this key.
         """
@@ -122,7 +126,7 @@ class Limits(LimitsSection):
 
     @property
     def largest(self) -> tuple[float, float]:
-        """The largest command before the lag and the largest force after the lag [N]; infinite without a limit."""
+        """The largest command before the actuator lag and the largest force after the lag [N]; infinite without a limit."""
         if self.actuator_force is None:
             return math.inf, math.inf
         return self.actuator_force if self.limits_commands else MOST_ASKED, self.actuator_force
@@ -139,7 +143,7 @@ class Limits(LimitsSection):
         return replace(self, actuator_bandwidth=None) if part == "lag" else self
 
     def phrases(self, suspensions: "Sequence[Suspension]") -> tuple[str, ...]:
-        """Describes the limits of a vehicle with these suspensions, one phrase per limit."""
+        """Describes the limits of a vehicle with one phrase per limit; `suspensions` are the suspensions of the vehicle."""
         phrases = []
         if self.stopped:
             phrases += FEATURES.load("stops").stop_words({part.corner: self.stops_at(part.corner) for part in suspensions})
@@ -172,7 +176,7 @@ def delay_text(delay: float) -> str:
 
 
 def _delay(value: Any, context: Mapping[str, Any]) -> float:
-    """Returns a delay in controller samples, as an int if the number is an integer."""
+    """Returns a delay in samples of the controller; the type is int if the number is an integer."""
     if not is_finite(value) or not 0 <= value <= MOST_DELAY:
         raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give a number from 0 to {MOST_DELAY}")
     return int(value) if value == int(value) else value
@@ -180,7 +184,8 @@ def _delay(value: Any, context: Mapping[str, Any]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CommandLimiter:
-    """Limiter of the commands of force actuators with a rate limit, for N runs. Runs without a rate limit are not changed.
+    """Limiter of the commands of force actuators with a rate limit, for N runs. The commands of runs without a rate limit are
+    not changed.
 
     Attributes:
         largest: largest command [N], shape (N, 1); infinity without a limit.
@@ -191,11 +196,11 @@ class CommandLimiter:
     change: Array
 
     def __call__(self, requested: Array, last: Array) -> Array:
-        """Returns the commands of a sample: the requested forces within the limits [N].
+        """Returns the commands of a sample [N]: the requested forces, limited in magnitude and rate.
 
         Args:
             requested: requested forces [N], shape (N, m).
-            last: commands of the previous sample [N], shape (N, m).
+            last: commands that were applied at the previous sample [N], shape (N, m).
         """
         clipped = np.minimum(np.maximum(requested, -self.largest), self.largest)
         return np.minimum(np.maximum(clipped, last - self.change), last + self.change)
@@ -206,7 +211,7 @@ def command_limiter(vehicles: Sequence[Any], timestep: float) -> CommandLimiter 
 
     Args:
         vehicles: the vehicles. If any of the vehicles has a rate limit, none of the vehicles may have semi-active dampers.
-        timestep: sample period of controllers that do not define one [s].
+        timestep: sample period of controllers that do not define a sample period [s].
     """
     if all(vehicle.limits.force_rate is None for vehicle in vehicles):
         return None
@@ -287,7 +292,7 @@ class Implementation(Section):
 
     @property
     def phrases(self) -> tuple[str, ...]:
-        """Description of the implementation, one phrase per property."""
+        """Description of the implementation with one phrase for each property."""
         phrases = []
         if self.sample_period is not None:
             phrases.append(f"a sample every {1e3 * self.sample_period:g} ms")
@@ -330,7 +335,7 @@ class ImplementationSection(Implementation):
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the section after converting a delay that the file gives as a time to samples."""
+        """Returns the section after converting a delay from a time to a number of samples, if the file gives a time."""
         delay, period = given.get("delay"), given.get("sample_period")
         if isinstance(delay, str) and (count := re.fullmatch(r"\s*(\d+\.?\d*) *samples?\s*", delay)):
             return {**given, "delay": float(count[1])}

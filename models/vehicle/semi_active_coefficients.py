@@ -1,4 +1,4 @@
-"""Coefficients of semi-active control laws for given vehicles."""
+"""Coefficients of semi-active control laws for the vehicles on which these laws act."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> LawCoefficients:
     """Returns the coefficients of N semi-active laws with the same name, for N vehicles of one type.
 
-    By default, a damper between body and sky, or between wheel and ground, has the coefficient c_max at the wheel. By default,
-    the damper between a body mode and the sky has the same coefficient as the sky damper.
+    By default, the virtual damper between body and sky, or between wheel and ground, has the coefficient c_max at the wheel. By
+    default, the damper between a body mode and the sky has the same coefficient as the sky damper.
     """
     dampers = [[damper.damper for damper in vehicle.parts.adjustable] for vehicle in vehicles]
     c_min, c_max = (np.array([[getattr(damper, name) for damper in row] for row in dampers]) for name in ("c_min", "c_max"))

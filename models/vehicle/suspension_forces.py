@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 
 class SuspensionForces:
-    """Suspension forces of N vehicles of one type, in addition to the forces in their linear models.
+    """Suspension forces of N vehicles of one type that act in addition to the forces in the linear models of these vehicles.
 
     The forces act between body and wheel, and are positive if they pull body and wheel together. The linear model contains the
     linearised force of each part, and the force of each actuator multiplied by the motion ratio in equilibrium.
 
     Attributes:
         acts: True for each suspension that has a force in addition to the linear model, shape (s,).
-        states: number k of the parts' internal states, whose order is that of `VehicleKind.of_parts`.
-        moves: True if the rate of an internal state differs from its rate in the linear model.
+        states: number k of internal states of parts; the states are in the order of `VehicleKind.of_parts`.
+        moves: True if the rate (time derivative) of an internal state differs from that in the linear model.
         inertial: True if a part has an inertance in addition to the linear model.
     """
 
@@ -31,7 +31,7 @@ class SuspensionForces:
         """Prepares the computation of the forces for N vehicles, or for one vehicle in any number of runs.
 
         Args:
-            vehicles: the N vehicles, or one vehicle.
+            vehicles: the N vehicles, or one vehicle for any number of runs.
             by_motor: True to include only parts that MuJoCo cannot represent with its own elements.
             contacts: False to omit parts that have no effect within the linear range, such as bump stops.
             whole: True to add the linearised forces of the elements of `[parts]`. Linear models contain the linearised forces,
@@ -71,7 +71,7 @@ class SuspensionForces:
 
         Args:
             d: suspension deflections at the wheels [m], shape (..., N, s).
-            v: rates of the deflections [m/s], shape (..., N, s).
+            v: time derivatives of the suspension deflections at the wheels [m/s], shape (..., N, s).
             inputs: actuator forces [N], and coefficients of semi-active dampers relative to the nominal coefficients [N s/m],
                 shape (..., N, m).
             z: internal states of the parts, shape (..., N, k).
@@ -94,7 +94,7 @@ class SuspensionForces:
         return total
 
     def rates(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
-        """Returns the rates of the parts' internal states, shape (..., N, k). For the arguments, see `__call__`."""
+        """Returns the time derivatives of the parts' internal states, shape (..., N, k). For the arguments, see `__call__`."""
         rates = np.zeros(z.shape)
         for _, kept, parts, at in self._at(d, v, inputs, z) if self.states else ():
             if len(kept):
@@ -115,8 +115,8 @@ class SuspensionForces:
 def _forces(vehicle: Vehicle, by_motor: bool, whole: bool, contacts: bool) -> list[tuple[int, Part, bool, int]]:
     """Returns a row for each part of a vehicle.
 
-    A row contains the index of the suspension, the part, and True if the linearised force of the part is included. The last
-    entry of a row is the index of the part's first internal state.
+    A row contains the index of the suspension, the part, and a flag that is True if the linearised force of the part is
+    included. The last entry of a row is the index of the part's first internal state.
     """
     forces = list[tuple[int, Part, bool, int]]()
     if not vehicle.parts:
@@ -142,7 +142,7 @@ class MotionRatios:
     """
 
     def __init__(self, vehicles: Sequence[Vehicle]) -> None:
-        """Reads the motion ratios of the vehicles."""
+        """Stores the motion ratios of the vehicles."""
         first, self._tables = vehicles[0], dict[str, "list[tuple[RatioTable, Array | slice, Array]]"]()
         self._inputs, self._places = first.linear_model.inputs, {one.force: i for i, one in enumerate(first.kind.suspensions)}
         self._at_rest = {force: np.array([one.motion_ratios[force] for one in vehicles]) for force in self._inputs}
@@ -163,7 +163,8 @@ class MotionRatios:
         return ratios
 
     def travel(self, force: str, deflection: Array) -> Array:
-        """Returns the travel of an actuator from equilibrium [m], the integral of its motion ratio.
+        """Returns the travel of an actuator from equilibrium [m], which is the integral of the actuator's motion ratio over the
+        deflection.
 
         For the arguments, see `of`.
         """

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 
 def kinds(folder: Path = HERE) -> list[str]:
-    """Returns the vehicle types in a folder, sorted: every name for which an equation file (`.py`) and an MJCF (`.xml`) exist.
+    """Returns the sorted names of the vehicle types in a folder: all names with an equation file (`.py`) and an MJCF (`.xml`).
 
     Args:
         folder: the folder; by default, the folder of the built-in vehicle types.
@@ -75,7 +75,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
         folder: folder with the files `name.py` and `name.xml` of a custom type; None to allow only built-in types.
 
     Raises:
-        InputError: the vehicle type does not exist, or the code of a custom type is wrong.
+        InputError: the vehicle type does not exist, or the code of a custom vehicle type is wrong.
     """
     if name in kinds():
         return importlib.import_module(f"models.{name}").KIND
@@ -96,7 +96,7 @@ def in_plane(name: str, plane: str) -> str:
     """Returns the vehicle type of a vehicle file that gives a plane of motion in addition to its `type`.
 
     Raises:
-        InputError: the plane is not available for this type.
+        InputError: the plane of motion is not available for the vehicle type.
     """
     planes = PLANES.get(name, {})
     if plane not in planes:
@@ -109,7 +109,7 @@ def in_plane(name: str, plane: str) -> str:
 
 @dataclass(frozen=True)
 class VehicleFile(Section):
-    """The sections of a vehicle file as tables that have not been checked. A separate reader reads each section."""
+    """The sections of a vehicle file as tables that have not been checked. Each section is read by a function of its own."""
 
     type: Annotated[str, Text('vehicle type, above the first section: `type = "quarter_car"`', ', as in type = "quarter_car"')]
     parameters: Annotated[Entries, AnyTable("parameters of the vehicle type, as `roadproof new` writes them")]
@@ -141,20 +141,21 @@ PERSON = (
 class Vehicle(ShownResult):
     """Vehicle that a vehicle file describes: vehicle type, parameters, weights, controllers and hardware.
 
-    `read_vehicle` and `parse_vehicle` create vehicles.
+    The functions `read_vehicle` and `parse_vehicle` create vehicles.
 
     Attributes:
-        kind: vehicle type: equations and MJCF.
+        kind: vehicle type, which contains the equations of motion and the MJCF.
         parameters: values of the parameters [SI], by name.
         performance: weight of each signal in the controlled output z (34).
         controllers: controllers by name, without `passive` and `state`, which always exist.
         text: text of the vehicle file. The matrices of control laws replace the names of the files that contain them, so the
             text can be stored in logs. For control laws in Python, the text still contains the file names.
-        source: path of the file, for messages.
+        source: path of the vehicle file, for messages.
         limits: limits of actuators and suspensions.
         implementation: sampling, delay, noise and quantisation of the controller.
         named_files: other files that the vehicle file names, with matrices, vehicle families or tables.
-        filters: filter from a weighted signal to z, by signal; signals of constant weight do not have a filter.
+        filters: filter from each weighted signal to z, by name of the signal; signals with a constant weight do not have a
+            filter.
         road_filter: filter from the disturbance w to the road velocity under every wheel; None if w is the road velocity.
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
         curves: characteristics of nonlinear dampers and springs, by the parameter that each characteristic replaces.
@@ -217,7 +218,7 @@ class Vehicle(ShownResult):
                 equilibrium.
 
         Returns:
-            A copy of the vehicle with this initial state.
+            A copy of the vehicle with the new initial state.
 
         Raises:
             InputError: a name is unknown, or a value is not a number in the unit of its state.
@@ -271,7 +272,7 @@ class Vehicle(ShownResult):
     def altered(self, values: Mapping[str, float], **fields: Any) -> "Vehicle":
         """Returns the vehicle with new values of some parameters, without checks.
 
-        Preloaded springs carry the new static loads.
+        Preloaded springs carry the static loads that belong to the new parameters.
 
         Args:
             values: new values [SI] by parameter.
@@ -315,7 +316,7 @@ class Vehicle(ShownResult):
         return self._with_lines(self.kind.model(self.parameters))
 
     def _with_lines(self, model: LinearModel) -> LinearModel:
-        """Returns a linear model of the vehicle type with the linearised forces of all parts added."""
+        """Returns a linear model of the vehicle type, to which the linearised forces of all parts are added."""
         more = [one for one in self.parts if one.added_line.sloped] if self.elements else []
         if not more:
             return model
@@ -361,12 +362,12 @@ class Vehicle(ShownResult):
 
     @cached_property
     def ride_points(self) -> RidePoints:
-        """The points of the vehicle at which the ride is measured."""
+        """The points of the vehicle at which ride comfort is measured."""
         return self.kind.ride_points(self.linear_model)
 
     @cached_property
     def motion_ratios(self) -> Mapping[str, float]:
-        """Motion ratio of every force, in the order of the linear model's inputs."""
+        """Motion ratio of every control force, in the order of the linear model's inputs."""
         return self.kind.motion_ratios(self.parameters, self.linear_model.inputs)
 
     @property
@@ -411,7 +412,7 @@ class Vehicle(ShownResult):
 
     @cached_property
     def with_force_actuators(self) -> "Vehicle":
-        """The vehicle with the force actuators that controllers with `actuators = "force"` drive, within `[limits]`."""
+        """The vehicle with the force actuators that controllers with `actuators = "force"` drive, limited by `[limits]`."""
         return replace(self.with_ideal_actuators, limits=self.force_limits or self.limits, force_limits=None)
 
     def with_actuators_of(self, name: str) -> "Vehicle":
@@ -420,12 +421,12 @@ class Vehicle(ShownResult):
         return self.with_force_actuators if forced else self
 
     def with_common_actuators(self, names: Sequence[str]) -> "Vehicle":
-        """Returns the vehicle with the actuators that all named controllers drive.
+        """Returns the vehicle with the type of actuator that all named controllers drive.
 
         `passive` and `state` can be combined with both types of actuator.
 
         Raises:
-            InputError: some controllers drive semi-active dampers, others force actuators.
+            InputError: some of the controllers drive semi-active dampers, and some drive force actuators.
         """
         named = [name for name in names if name in self.controllers]
         pushing = [name for name in named if self.with_actuators_of(name) is not self]
@@ -460,14 +461,14 @@ class Vehicle(ShownResult):
 
     @property
     def filtered(self) -> bool:
-        """True if a weight of z or of the road depends on frequency, which adds states to the design plant."""
+        """True if a weight of z or of the road depends on frequency; such a weight adds states to the design plant."""
         return bool(self.filters) or self.road_filter is not None or any(one.filter is not None for one in self.sums)
 
     @cached_property
     def integrals(self) -> Mapping[str, Mapping[str, float]]:
         """Integrators that the weights of z add to the states of the design plant.
 
-        Maps the name of each integrator state to the factors of the signals that it integrates.
+        The result maps the name of each integrator state to the factors of the signals that the state integrates.
         """
         different: dict[str, Mapping[str, float]] = {}
         for row in self.weighted:
@@ -487,8 +488,8 @@ class Vehicle(ShownResult):
 
     @property
     def without_integrals(self) -> "Vehicle":
-        """The vehicle without the integrators in the controlled output z. The pole at 0 of a filter is removed; its other poles
-        remain.
+        """The vehicle without the integrators in the controlled output z. The pole at 0 of each filter is removed; all other
+        poles of the filter remain.
         """
         if not self.integrals:
             return self
@@ -503,7 +504,7 @@ class Vehicle(ShownResult):
         )
 
     def summed(self, values: Array, axis: int = -1) -> Array:
-        """Returns the output signals, followed by the unweighted sums of signals in z.
+        """Returns the values of the output signals, followed by the values of the unweighted sums of signals in z.
 
         Args:
             values: values of the p output signals along one axis.
@@ -523,7 +524,7 @@ class Vehicle(ShownResult):
             omega: angular frequencies [rad/s], shape (F,).
 
         Returns:
-            Complex weights, shape (F, p): a row per frequency, a column per output signal and then per sum.
+            Complex weights, shape (F, p), with a row per frequency, and with a column per output signal and then per sum.
         """
         ones = np.ones(len(omega), dtype=complex)
         return np.stack(
@@ -583,7 +584,7 @@ class Vehicle(ShownResult):
 
     @property
     def ideal(self) -> bool:
-        """True if the file has neither limits nor an implementation."""
+        """True if the vehicle file has neither limits nor an implementation."""
         return self.limits == Limits() and self.implementation.ideal
 
     def checked(self) -> "Vehicle":
@@ -620,7 +621,7 @@ class Vehicle(ShownResult):
 
     @property
     def controller_names(self) -> tuple[str, ...]:
-        """Names of all controllers."""
+        """Names of all controllers of the vehicle."""
         return (*RESERVED_NAMES, *self.controllers)
 
     @property

@@ -29,7 +29,7 @@ LEAST = 3  # a log must have at least this number of samples
 
 @dataclass(frozen=True, eq=False)
 class MeasuredLog:
-    """Measured signals over time.
+    """Log of measured signals against time.
 
     Attributes:
         source: path of the file.
@@ -52,7 +52,7 @@ class MeasuredLog:
         return float(np.median(np.diff(self.time)))
 
     def at(self, name: str, time: Array) -> Array:
-        """Returns a signal at given times [s], interpolated linearly; NaN outside the log and within its gaps."""
+        """Returns a signal at given times [s] by linear interpolation; NaN at times outside the log and in gaps of the log."""
         values = np.interp(time, self.time, self.signals[name], left=np.nan, right=np.nan)
         after = np.clip(np.searchsorted(self.time, time), 1, len(self.time) - 1)
         apart = self.time[after] - self.time[after - 1]
@@ -65,8 +65,8 @@ def read_measured_log(
 ) -> MeasuredLog:
     """Reads the columns of a measured log whose names are signal names: .csv, .txt, .lvm, .mat, .xlsx, .parquet, .mf4 or .mcap.
 
-    Times of day are converted to times since the first sample. Times that are computed from the sample rate also start from 0
-    at the first sample.
+    Times of day in the file are converted to times since the first sample. Times that are computed from the sample rate also
+    start from 0 at the first sample.
 
     Args:
         path: path of the file.

@@ -90,7 +90,7 @@ def mcap_rows(path: Path) -> list[Sequence[Any]]:
 
 
 def _numbers(content: Any, path: str = "") -> Iterator[tuple[str, float]]:
-    """Yields the numbers in a message, with names such as `acceleration.z` and `wheel.0`."""
+    """Yields the numbers in a JSON message, each with a name such as `acceleration.z` or `wheel.0`."""
     if isinstance(content, dict | list):
         for key, one in content.items() if isinstance(content, dict) else enumerate(content):
             yield from _numbers(one, f"{path}.{key}" if path else str(key))

@@ -1,6 +1,6 @@
 """Mass that is connected to the road by a spring and a force actuator.
 
-With one degree of freedom, optimal laws have closed forms.
+Because the mass has only one degree of freedom, the formulas of optimal control laws have a closed form.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ def static_tyre_deflection(p):
 
 
 def write_mjcf(spec, p):
-    """Writes the parameters into the MJCF."""
+    """Writes the parameters of the vehicle into the MJCF."""
     spec.body("sprung").mass = p["mass"]
     spec.tendon("suspension").stiffness[0] = p["stiffness"]
     spec.tendon("suspension").springlength[0] = FREE + static_tyre_deflection(p)[STATES[0]]

@@ -1,7 +1,7 @@
-"""Half-car whose suspensions are directly on the road, without wheels: the second example of a custom vehicle type.
+"""Half-car without wheels, whose suspensions touch the road directly: the second example of a custom vehicle type.
 
-The equations are those of Simulink's demonstration of a half-car. The springs act between road and body. The dampers act only
-on the motion of the body.
+The equations are those of Simulink's demonstration of a half-car. The springs act between road and body. The forces of the
+dampers depend only on the motion of the body.
 """
 
 import numpy as np
@@ -59,7 +59,7 @@ def static_tyre_deflection(p):
 
 
 def write_mjcf(spec, p):
-    """Writes the parameters into the MJCF."""
+    """Writes the parameters of the vehicle into the MJCF."""
     body = spec.body("sprung")
     body.mass, body.inertia = p["mass"], [p["pitch_inertia"]] * 3
     for axle, arm, rest in zip(AXLES, arms(p), static_tyre_deflection(p).values(), strict=True):

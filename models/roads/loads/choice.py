@@ -35,7 +35,7 @@ class History(Load):
     Attributes:
         source: name of the file.
         time: times of the points [s], ascending, shape (K,).
-        columns: values of the load [N, N m] by heading, each of shape (K,).
+        columns: values of the load [N, N m] by heading of the column, each of shape (K,).
     """
 
     source: str
@@ -44,8 +44,8 @@ class History(Load):
 
     @property
     def text(self) -> str:
-        """Text that defines the load: the name of the file and all numbers in the file, exactly. The rows of the CSV file are
-        separated by `;`.
+        """Text that defines the load: the name of the file and all numbers in the file, exactly. In the text, the rows of the
+        CSV file are separated by `;`.
         """
         heading = ",".join(["time [s]", *(f"{name} [{'N' if name == 'heave' else 'N m'}]" for name in self.columns)])
         rows = zip(self.time.tolist(), *(column.tolist() for column in self.columns.values()), strict=True)
@@ -58,7 +58,7 @@ class History(Load):
 
     @property
     def label(self) -> str:
-        """Name of the file."""
+        """Name of the file that contains the load."""
         return self.source
 
     @property
@@ -68,7 +68,7 @@ class History(Load):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Names of the loads in the columns."""
+        """Names of the body loads (force and moments) in the columns."""
         return tuple(NAMES[name] for name in self.columns)
 
     def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
@@ -124,7 +124,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
     """Returns the load that a text describes.
 
     Args:
-        text: text of the load, or name of a file.
+        text: text that describes the load, or name of a file that contains it.
         folder: folder to which file names are relative.
 
     Raises:

@@ -2,15 +2,16 @@
 
 The vehicle model drives straight ahead. Braking, cornering, payload and wind therefore act as equivalent loads at the centre of
 mass of the body (d'Alembert forces): a vertical force F, a pitch moment M_pitch and a roll moment M_roll. Positive directions
-are up, nose down and right side down. For a sprung mass m_s with its centre of mass at height h above the ground:
+are up, nose down and right side down. For a sprung mass m_s whose centre of mass has the height h above the ground, the loads
+are:
 
     braking at a:          M_pitch = m_s a h,     cornering left at a:   M_roll = m_s a h
     payload m at (x, y):   F = -m g,   M_pitch = m g x,   M_roll = -m g y
 
 The payload position (x forward, y to the left) is relative to the centre of mass. A payload adds weight but no inertia. By
-default, springs and tyres carry each moment M, and the body turns by M / K, where K is their rotational stiffness. A vehicle
-file can define suspension links that carry a share of the loads (`models/kinds/links.py`). With suspension links, the links'
-share of braking, cornering and gust loads, and the inertia of the wheels, act as loads on the wheels.
+default, springs and tyres carry each moment M; with their rotational stiffness K, the body turns by M / K. A vehicle file can
+define suspension links that carry a share of the loads (`models/kinds/links.py`). With suspension links, the links' share of
+braking, cornering and gust loads, and the inertia of the wheels, act as loads on the wheels.
 """
 
 import math
@@ -53,7 +54,7 @@ class Load(ABC):
 
     @property
     def label(self) -> str:
-        """The text that commands print; for a load from a file, only the file name."""
+        """The text that commands print for the load; for a load from a file, only the file name."""
         return self.text
 
     @property
@@ -64,7 +65,7 @@ class Load(ABC):
     @property
     @abstractmethod
     def directions(self) -> tuple[str, ...]:
-        """Names of the body loads to which this load contributes."""
+        """Names of the body loads (force or moments) to which the load contributes."""
 
     @abstractmethod
     def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
@@ -95,7 +96,8 @@ class Load(ABC):
 
 @dataclass(frozen=True)
 class RampedLoad(Section, Load):
-    """Load that rises, stays constant and falls. Rise and fall are half periods of a cosine.
+    """Load that rises, stays constant for a time, and falls. The rise and the fall of the load have the shape of half a period
+    of a cosine.
 
     Raises:
         InputError: a number is out of its range, or has a unit of another dimension.
@@ -122,7 +124,7 @@ class RampedLoad(Section, Load):
 
     @property
     def text(self) -> str:
-        """Text with the type and numbers of the load; an infinite hold is omitted."""
+        """Text with the type and the numbers of the load; an infinite hold time is omitted."""
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         return ":".join([self.kind, *(f"{name}={value!r}" for name, value in given.items() if value != math.inf)])
 
@@ -134,11 +136,11 @@ class RampedLoad(Section, Load):
         return (start, start + rise, *((going, going + rise) if math.isfinite(hold) else ()))
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns the horizontal force that causes this load, for the suspension links.
+        """Returns the horizontal force that causes the load, because suspension links transmit a share of this force.
 
         Returns:
             Name of the body load, force on the body [N], and acceleration of the wheels [m/s2], as `VehicleKind.carried` takes
-            them. None if the load does not act on the links.
+            them. None if the suspension links do not transmit any share of the load.
         """
         return None
 
@@ -203,7 +205,7 @@ class Brake(_Inertial):
 
 @dataclass(frozen=True)
 class Cornering(_Inertial):
-    """Cornering to the left, which rolls the body to the right. A negative acceleration is cornering to the right."""
+    """Cornering to the left, which rolls the body to the right. A negative lateral acceleration means cornering to the right."""
 
     kind: ClassVar[str] = "corner"
     way: ClassVar[str] = ROLL
@@ -235,7 +237,7 @@ class _PlacedLoad(RampedLoad):
 
 @dataclass(frozen=True)
 class Payload(_PlacedLoad):
-    """Additional weight on the body."""
+    """Payload: additional weight on the body."""
 
     kind: ClassVar[str] = "payload"
     size: ClassVar[str] = "mass"
@@ -253,7 +255,7 @@ class Payload(_PlacedLoad):
 
 @dataclass(frozen=True)
 class Lift(_PlacedLoad):
-    """Aerodynamic lift of the body."""
+    """Aerodynamic lift that acts on the body."""
 
     kind: ClassVar[str] = "lift"
     size: ClassVar[str] = "force"
@@ -290,11 +292,13 @@ class Gust(RampedLoad):
         return (ROLL,)
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """Returns the roll moment [N m]."""
+        """Returns the roll moment of the load [N m]."""
         return {ROLL: self.force * self.height}
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns the force of the wind. The wind acts on the body, not on the wheels."""
+        """Returns the name of the moment, the force of the wind [N], and the acceleration 0. The wind acts on the body, not on
+        the wheels.
+        """
         return ROLL, self.force, 0.0
 
 

@@ -32,7 +32,7 @@ class RoadWithLoads(DerivedRoad):
 
     @property
     def loaded(self) -> bool:
-        """True, because loads act on the body."""
+        """True, because at least one load acts on the body."""
         return True
 
     @property
@@ -44,7 +44,7 @@ class RoadWithLoads(DerivedRoad):
         """Returns the sum of all loads on the body; see `Road`.
 
         Raises:
-            InputError: the vehicle type lacks the motion that a load acts on.
+            InputError: the vehicle type lacks the motion (heave, pitch or roll) that a load acts on.
         """
         return self._sum(vehicle, t, lambda load: load.at(t, vehicle.parameters, vehicle.kind))
 
@@ -68,12 +68,12 @@ class RoadWithLoads(DerivedRoad):
         return total
 
     def describe(self) -> dict[str, float | str]:
-        """Returns the road's description, and the texts that define its loads."""
+        """Returns the description of the road, including the texts that define the loads."""
         return {**self.road.describe(), "loads": PLUS.join(load.text for load in self.on_body)}
 
     @property
     def words(self) -> str:
-        """Road and loads as one line of text."""
+        """Description of road and loads as one line of text."""
         return f"{self.road.words}, loads {PLUS.join(load.label for load in self.on_body)}"
 
     def scaled(self, factor: float) -> "RoadWithLoads":
