@@ -1,9 +1,9 @@
 """`[actuators]` of a vehicle file: each suspension has a force actuator or a semi-active damper.
 
-A valve sets the damping coefficient c of a semi-active damper to a value between c_min and c_max. The damper gives the force -c
-v, where v is the velocity at which the damper's suspension extends. The linear model, equation (28) of the paper, contains the
-nominal damping coefficient c_s. The control force u is the difference between the damper's force and the force with the nominal
-coefficient:
+A valve sets the damping coefficient c of a semi-active damper to a value between c_min and c_max. The damper gives the force
+-c v, where v is the velocity at which the damper's suspension extends. The linear model, equation (28) of the paper, contains
+the nominal damping coefficient c_s. The control force u is the difference between the damper's force and the force with the
+nominal coefficient:
 
     u = -(c - c_s) v.
 
@@ -17,8 +17,8 @@ the velocity v is 0 but the commanded force u* is not 0, v counts as slightly ne
 force u* are both 0, the damper has the nominal coefficient.
 
 Measured characteristics can replace c_min and c_max: the force against velocity at the softest setting, F_min, and at the
-    firmest setting, F_max (`models.parts`). At the valve setting s, a number from 0 (softest) to 1 (firmest), the damper
-pulls with the force
+firmest setting, F_max (`models.parts`). At the valve setting s, a number from 0 (softest) to 1 (firmest), the damper pulls with
+the force
 
     F = (1 - s) F_min(v) + s F_max(v) = F_min(v) + (c - c_min) h(v),    h = (F_max - F_min) / (c_max - c_min),
 

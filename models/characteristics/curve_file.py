@@ -1,7 +1,7 @@
 """Files that contain characteristics, and to which a vehicle file refers by `file = "damper.csv"` or `stop = "bump.csv"`.
 
 When a vehicle file is read, the tables replace the names of the files that contain them, so later steps need only the vehicle
-file. Files with control laws or vehicle families are also replaced by their contents when a vehicle file is read. Tables in
+file. The names of files with control laws or vehicle families are also replaced by the contents of these files. Tables in
 CSV, `.xlsx` or `.mat` files have a header with quantity and unit of each column: `velocity [mm/s], force [kN]`. Damper property
 files (`.dpr`) of Adams/Car have the TeimOrbit format. A TeimOrbit file consists of blocks in brackets, tables below a row of
 names in braces, and comments after `$` or `!`. The block `[UNITS]` contains the units, and the block `[CURVE]` contains the

@@ -29,7 +29,7 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
     """Returns the mean characteristic of a hysteresis loop, or None if the points do not form a loop.
 
     Args:
-        x: velocity, displacement or compression at each point, in the order of the measurement, shape (n,).
+        x: velocity, deflection or compression at each point, in the order of the measurement, shape (n,).
         force: force at each value of the argument [N], shape (n,).
         unit: unit of the argument, for the returned phrase.
         at_rest: True to subtract the mean force at argument 0, which is caused by the gas in a damper.

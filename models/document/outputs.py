@@ -28,7 +28,7 @@ OF_FIGURES = (*SUFFIXES, ".csv")
 
 
 def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str] = (), json: bool = False) -> None:
-    """Checks that all outputs can be written, each to a file of its own. Leaves nothing behind.
+    """Checks that all outputs can be written, each to a file of its own. The check leaves no files or folders behind.
 
     Args:
         outputs: paths by type of output (csv, picture, report, save, vehicle, logs or figures); None for outputs that are not
@@ -38,8 +38,8 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
         json: True if standard output is reserved for one JSON object.
 
     Raises:
-        InputError: an output cannot be written, has the suffix of a different format, or is the same file as an input or a
-            second output. The error is also raised if a vehicle file would replace a file that no command has saved.
+        InputError: an output cannot be written, has the suffix of a different format, or is the same file as an input or as
+            another output. The error is also raised if a vehicle file would replace a file that no command has saved.
     """
     read_files = {identity(Path(path)) for path in read}
     taken: dict[object, str] = dict.fromkeys(read_files, "is an input file")

@@ -66,8 +66,8 @@ def check_drawing() -> None:
 def _matplotlib() -> Any:
     """Imports and returns matplotlib, even if the environment variable MPLBACKEND refers to a backend that is not installed.
 
-    The figures in this module do not need a backend. If MPLBACKEND is valid, its backend still applies to windows in which a
-    user shows figures of his own.
+    The figures in this module do not need a backend. If MPLBACKEND is valid, its backend still applies to windows in which
+    users show their own figures.
     """
     backend = "" if "matplotlib" in sys.modules else os.environ.pop("MPLBACKEND", "")
     try:

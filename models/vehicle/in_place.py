@@ -31,7 +31,7 @@ def with_contents(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
 
     Args:
         text: text of the vehicle file.
-        folder: folder of the vehicle file. Paths in the vehicle file are relative to this `folder`.
+        folder: folder of the vehicle file. Paths in the vehicle file are relative to `folder`.
 
     Returns:
         The complete text, and the paths of the files whose contents it contains.

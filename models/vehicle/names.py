@@ -54,7 +54,7 @@ RIG = re.compile(rf"rig:file=(?P<path>.+\.(?P<suffix>csv|txt)){SETTINGS}", re.IG
 
 
 def named_file(text: str) -> tuple[str, str] | None:
-    """Returns the path of the file in the text of a road, and the type of road that the file contains: "rig" or "profile".
+    """Returns the path of the file in the text of a road, and the type of road that the text describes: "rig" or "profile".
 
     Returns None if the text does not contain a file.
     """

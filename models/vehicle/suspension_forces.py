@@ -23,7 +23,7 @@ class SuspensionForces:
     Attributes:
         acts: True for each suspension that has a force in addition to the linear model, shape (s,).
         states: number k of internal states of parts; the states are in the order of `VehicleKind.of_parts`.
-        moves: True if the rate (time derivative) of an internal state differs from that in the linear model.
+        moves: True if the time derivative of an internal state differs from its value in the linear model.
         inertial: True if a part has an inertance in addition to the linear model.
     """
 
@@ -35,8 +35,8 @@ class SuspensionForces:
             by_motor: True to include only parts that MuJoCo cannot represent with its own elements.
             contacts: False to omit parts that have no effect within the linear range, such as bump stops.
             whole: True to add the linearised forces of the elements of `[parts]`. Linear models contain the linearised forces,
-                but the equations of motion of the vehicle types do not. If `whole` is True, the rates of internal states are
-                complete. If `whole` is False, these rates are deviations from the linear model.
+                but the equations of motion of the vehicle types do not. If `whole` is True, the time derivatives of internal
+                states are complete; otherwise, they are deviations from the linear model.
         """
         suspensions, inputs = vehicles[0].kind.suspensions, vehicles[0].linear_model.inputs
         rows = [_forces(vehicle, by_motor, whole, contacts) for vehicle in vehicles]
@@ -63,7 +63,7 @@ class SuspensionForces:
 
     @property
     def moves(self) -> bool:
-        """True if the rate of a part's internal state differs from the rate in the linear model."""
+        """True if the time derivative of a part's internal state differs from its value in the linear model."""
         return any(len(kept) for _, _, kept, _ in self._stacks)
 
     def __call__(self, d: Array, v: Array, inputs: Array, z: Array | None = None) -> Array:

@@ -36,8 +36,8 @@ class MeasuredLog:
         time: times of the samples on the log's own clock [s], ascending, shape (n,).
         signals: measured values in SI units by name of the signal, each of shape (n,); NaN for a missing cell.
         remarks: notes about omitted columns and assumed units.
-        rounded: number of samples that are omitted because, after rounding in the file, their times equal the time of the
-            previous sample.
+        rounded: number of samples that are omitted because their rounded times in the file equal the time of the previous
+            sample.
     """
 
     source: str
