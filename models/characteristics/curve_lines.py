@@ -35,8 +35,8 @@ def point_indices(x: Array, force: Array, error: float) -> Array:
 
 
 def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
-    """Returns the last point that a straight line from the point `first` can reach with at most the allowed error at all points
-    in between.
+    """Returns the last point to which a straight line from the point `first` can lead without exceeding the allowed error at
+    any point in between.
     """
     run, rise = x[first + 1 : last + 1] - x[first], force[first + 1 : last + 1] - force[first]
     # Every point between the two ends limits the slope of the line from above and from below.

@@ -1,4 +1,4 @@
-"""Logs of damper dynamometers: force and displacement over time, from which the velocity is computed.
+"""Logs of damper dynamometers: force and displacement against time. The velocity is computed from the displacement.
 
 The displacement is differentiated by the filter of A. Savitzky and M. Golay, which has no delay. The 3 dB cut-off frequency of
 this filter is given by R. W. Schafer (2011), What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine 28, 111-117, eq.
@@ -33,7 +33,7 @@ def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, 
         force: force [N], shape (n,).
 
     Raises:
-        InputError: time does not ascend or has a gap, there is no full cycle, or a cycle has too few samples.
+        InputError: the times do not ascend or have a gap, the log contains no full cycle, or a cycle has too few samples.
     """
     from scipy.signal import find_peaks, savgol_filter
 

@@ -67,7 +67,7 @@ ALONE = "is not allowed: a position-dependent damper cannot be combined with fri
 
 @dataclass(frozen=True)
 class Argument(ListedValues):
-    """Argument of a characteristic, which a file gives as a list of ascending values.
+    """Argument of a characteristic, such as the velocity; a file gives the values of the argument as an ascending list.
 
     Attributes:
         name: key of the list in the file, such as "velocity".
@@ -162,7 +162,7 @@ class StopTableSection(CurveTable):
 
 
 class Preload(SI):
-    """The load that a table carries in equilibrium; the value `true` means the static load of the spring."""
+    """Key for the load that a spring's table carries in equilibrium; the value `true` means the static load of the spring."""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
         """Returns the load [N]; a value `true` or `false` is returned unchanged."""
@@ -203,7 +203,7 @@ class DamperTable(CurveTable):
 
 @dataclass(frozen=True)
 class SurfaceTable(Section):
-    """Force of a damper as a function of velocity and deflection."""
+    """Section with a table of a damper's force against velocity and deflection."""
 
     hints: ClassVar[Mapping[str, str]] = dict.fromkeys(FRICTION, ALONE)
 
@@ -315,7 +315,8 @@ def _part(x: Array, force: Array, over: Argument, preload: float, alone: bool) -
         x: deflections or velocities of the table [m or m/s], shape (n,).
         force: forces of the table [N], shape (n,).
         over: argument of the characteristic.
-        preload: load that the table carries in equilibrium [N]; 0 if the equilibrium is at deflection 0 of the table.
+        preload: load that the spring of the table carries in equilibrium [N]; 0 if the equilibrium is at deflection 0 of the
+            table.
         alone: False if the characteristic is a sum of several tables. In a sum, a table may belong to a stop that acts only on
             one side of equilibrium.
     """
@@ -446,7 +447,7 @@ def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
 
 
 def _surface(where: str, entry: Mapping[str, Any]) -> ForceSurface:
-    """Returns the force of a damper as a function of velocity and deflection from the table in the section."""
+    """Returns the force of a damper as a function of velocity and deflection, from the table in the section."""
     given = read(where, SurfaceTable, entry)
     v, d, table = np.array(given.velocity), np.array(given.deflection), np.array(given.force)
     with error_in(f"{where}:"):

@@ -1,7 +1,7 @@
 """Child processes in Python that answer messages one after another.
 
-Every wait for an answer has a time limit, and the end of a child raises an exception. A child can therefore execute code that
-hangs or crashes.
+Every wait for an answer has a time limit, and if a child ends, the wait for its answer raises an exception. A child can
+therefore execute code that hangs or crashes.
 
 Unlike children of `multiprocessing`, these children do not import the user's script again, so scripts do not need `if __name__
 == "__main__"`. The standard input of a child is empty, and everything that a child prints goes to stderr. A child ignores

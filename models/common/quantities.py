@@ -1,7 +1,7 @@
 """Columns of tables in users' files: names, units and signs.
 
-Road profiles, drive files of rigs, characteristics of dampers and springs, and loads over time all use this table of
-quantities.
+The same table of quantities is used for road profiles, drive files of rigs, characteristics of dampers and springs, and loads
+against time.
 """
 
 import re

@@ -75,7 +75,7 @@ def cores() -> int:
 def side_by_side(
     pieces: Iterable[Piece[Result]], threads: int, abandon: Callable[[], None] = lambda: None
 ) -> Generator[tuple[int, Result]]:
-    """Yields the number and the result of every piece of work, in the order of completion.
+    """Yields the index and the result of every piece of work, in the order in which the pieces are completed.
 
     A thread takes the next piece of work when the thread becomes free. Each piece runs in the Python context (`contextvars`) of
     the first call of `next`. A caller that stops early must close the iterator, which abandons the running pieces and waits for

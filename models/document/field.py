@@ -126,7 +126,8 @@ class Record(Generic[T]):
         return {key: plain(value) for key, value in found.items() if value is not OMITTED_KEY}
 
     def all(self, get: "Value[Any]") -> Callable[[Any], Any]:
-        """Returns a function for use as a value in an outer record, which then contains objects of this record.
+        """Returns a function for use as a value in an outer record; the outer record then contains the JSON objects of this
+        record.
 
         Args:
             get: field, function or attribute that gives one result, or a list, tuple or mapping of results.

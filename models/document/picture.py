@@ -389,7 +389,7 @@ def _key_inside(entry: Entry) -> str:
 
 
 def _inside(sheet: _Sheet) -> str:
-    """Returns the elements of a drawing, with `MARK` in front of identifiers."""
+    """Returns the SVG elements of a drawing, with the text `MARK` in front of all identifiers."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     sheet.canvas.patch.set_visible(False)
@@ -403,7 +403,9 @@ def _inside(sheet: _Sheet) -> str:
 
 
 def _clean(element: str) -> str:
-    """Returns the tag of an element with presentation attributes instead of a style, and with `MARK` in front of identifiers."""
+    """Returns the tag of an SVG element with presentation attributes instead of a style, and with `MARK` in front of all
+    identifiers.
+    """
     element = STYLE.sub(lambda style: _as_attributes(style[1]), element)
     element = re.sub(r"(\.\d\d)\d+", r"\1", element).replace("#000000", "currentColor").replace("xlink:href", "href")
     return re.sub(r'(#| id=")(?=[mpC][0-9a-f_]{9,})', rf"\1{MARK}", element)

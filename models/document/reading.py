@@ -41,8 +41,8 @@ class Reading:
         headings: headings of the columns whose cells differ between rows.
         rows: cells of the columns in `headings`.
         words: number of columns with text, which are left-aligned.
-        same: columns whose cells are equal in all rows, as `heading: value`.
-        notes: repeated remarks, with their footnote marks.
+        same: texts `heading: value` for the columns whose cells are equal in all rows.
+        notes: remarks that occur in several rows, each with its footnote mark.
         folded: True if the table is so long that a page collapses it.
     """
 

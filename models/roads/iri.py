@@ -206,7 +206,7 @@ class Roughness:
 
 
 def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughness, ...]:
-    """Returns every IRI of a road over a distance.
+    """Returns every IRI of a road over a driven distance: that of each track, and those of both tracks together.
 
     The list is empty for a rig, if the road is too short, or if the points of a profile are too far apart.
 

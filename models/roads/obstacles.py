@@ -1,4 +1,4 @@
-"""Single obstacles, each defined by one formula, and the table of all roads that a name and numbers define."""
+"""Single obstacles, each defined by one formula, and the table of all roads that are defined by a name and numbers."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

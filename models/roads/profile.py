@@ -152,7 +152,7 @@ class Profile(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """All points as the text of a CSV file with exact numbers: distance, left, right [m]."""
+        """All points as the text of a CSV file with exact numbers: distance, left height and right height [m]."""
         rows = np.column_stack([self.distance, self.heights]).tolist()
         return ("distance,left,right\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 

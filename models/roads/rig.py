@@ -1,4 +1,4 @@
-"""Posts of a test rig: the height under each wheel over time, as in the drive file of a four-post rig."""
+"""Posts of a test rig: the height under each wheel against time, as in the drive file of a four-post rig."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -80,7 +80,7 @@ class Rig(MeasuredRoad):
         return 0.0
 
     def start(self, side: str) -> tuple[float, float]:
-        """Returns the first height of a post [m] and the rate of change 0; an empty name means the first post."""
+        """Returns the first height of a post [m], and 0 for its rate of change; an empty name means the first post."""
         first = self.heights[0]
         return float(first[self._index(side)] - first.mean()), 0.0
 
@@ -101,7 +101,7 @@ class Rig(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """All points as the text of a CSV file with exact numbers: time [s], heights [m]."""
+        """All points as the text of a CSV file with exact numbers: time [s] and heights of the posts [m]."""
         rows = np.column_stack([self.time, self.heights]).tolist()
         return (",".join(["time", *self.posts]) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 

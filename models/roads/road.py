@@ -49,7 +49,7 @@ class Road(ABC):
         return math.inf
 
     def track_of(self, wheel: Wheel) -> str:
-        """Returns the side of a wheel, as the argument `side` of `displacement`."""
+        """Returns the side of a wheel in the form of the argument `side` of `displacement`."""
         return wheel.side
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
@@ -81,7 +81,7 @@ class Road(ABC):
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings about numbers that probably have another unit: the speed, or the height of an obstacle."""
+        """Warnings about numbers that probably have a wrong unit: the speed, or the height of an obstacle."""
         heights = ({"obstacle": KnownQuantity(name, abs(getattr(self, name)), "m")} for name in getattr(self, "tall", ()))
         return remarks([{"speed": KnownQuantity("speed", self.speed, "m/s")}, *heights])
 
@@ -184,7 +184,8 @@ class Road(ABC):
             time: sample times of the run, from 0 [s].
 
         Raises:
-            InputError: the road ends within two timesteps, is too low, or lies under one side of a vehicle with one track.
+            InputError: the road ends within two timesteps, is too low, or lies under only one side although the vehicle has one
+                track.
         """
         timestep = float(time[1])
         if self.duration < 2 * timestep and not self.jumps:

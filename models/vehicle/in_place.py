@@ -27,7 +27,7 @@ GIVE_LAW = f"give a MATLAB file with A, B, C, D, or K, written by {SAVE}"
 
 
 def with_contents(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """Replaces names of other files in the text of a vehicle file by the contents of these files.
+    """Replaces the names of files in the text of a vehicle file by the contents of these files.
 
     Args:
         text: text of the vehicle file.

@@ -75,7 +75,7 @@ class Limits(LimitsSection):
 
     @property
     def stopped(self) -> bool:
-        """True if the vehicle file gives any key of bump stops."""
+        """True if the vehicle file gives at least one key for bump stops."""
         return self.suspension_stroke is not None or self.stop_stiffness is not None or bool(self.places)
 
     def stops_at(self, corner: str) -> "BumpAndRebound | None":
@@ -158,7 +158,7 @@ class Limits(LimitsSection):
 
 
 def _text(value: Any) -> str:
-    """Returns a value of `[limits]` as text, as in a vehicle file."""
+    """Returns a value of `[limits]` as text, in the form that it has in a vehicle file."""
     if isinstance(value, tuple):
         return f"[{', '.join(f'{k:g}' for k in value)}]"
     return f"{value:g}" if isinstance(value, float | int) else str(value)
@@ -375,7 +375,9 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
 
 
 def hold_intervals(implementation: Implementation, timestep: float) -> tuple[tuple[int, int], ...]:
-    """Returns the intervals of constant force within a sample period, each as its length [timesteps] and delay [samples]."""
+    """Returns the intervals of constant force within a sample period, each with its length [timesteps] and the delay of its
+    force [samples].
+    """
     steps = steps_per_sample(implementation, timestep)
     return tuple((round(share * steps), late) for share, late in implementation.hold_intervals)
 

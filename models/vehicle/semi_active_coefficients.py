@@ -67,7 +67,7 @@ def numbers_at(numbers: LawCoefficients, of: "CoefficientRange", closing: Array,
 
     Args:
         numbers: coefficients of the laws for linear dampers.
-        of: ranges of the coefficients of the dampers of N vehicles.
+        of: ranges of the damping coefficients that the dampers of N vehicles can have.
         closing: closing velocity of each suspension [m/s], not 0, shape (..., m).
         which: indices of the selected vehicles among the N vehicles.
     """

@@ -21,10 +21,10 @@ class SuspensionForces:
     linearised force of each part, and the force of each actuator multiplied by the motion ratio in equilibrium.
 
     Attributes:
-        acts: True for each suspension that has a force in addition to the linear model, shape (s,).
+        acts: True for each suspension that has a force in addition to those in the linear model, shape (s,).
         states: number k of internal states of parts; the states are in the order of `VehicleKind.of_parts`.
         moves: True if the time derivative of an internal state differs from its value in the linear model.
-        inertial: True if a part has an inertance in addition to the linear model.
+        inertial: True if a part has an inertance that is not in the linear model.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], by_motor: bool = False, whole: bool = True, contacts: bool = True) -> None:
@@ -156,7 +156,7 @@ class MotionRatios:
         self.over_travel = tuple(self._tables)
 
     def of(self, force: str, deflection: Array) -> Array:
-        """Returns the motion ratio of an input at given deflections of its suspension [m], shape (..., N)."""
+        """Returns the motion ratio of an input at the deflections of the input's suspension [m], shape (..., N)."""
         ratios = np.broadcast_to(self._at_rest[force], deflection.shape).copy()
         for table, runs, factor in self._tables.get(force, ()):
             ratios[..., runs] = factor * table(deflection[..., runs])

@@ -153,7 +153,7 @@ class Vehicle(ShownResult):
         source: path of the vehicle file, for messages.
         limits: limits of actuators and suspensions.
         implementation: sampling, delay, noise and quantisation of the controller.
-        named_files: other files that the vehicle file names, with matrices, vehicle families or tables.
+        named_files: files with matrices, vehicle families or tables that the vehicle file names.
         filters: filter from each weighted signal to z, by name of the signal; signals with a constant weight do not have a
             filter.
         road_filter: filter from the disturbance w to the road velocity under every wheel; None if w is the road velocity.
@@ -237,7 +237,7 @@ class Vehicle(ShownResult):
 
     @cached_property
     def start_state(self) -> Array | None:
-        """Initial state of runs relative to equilibrium, shape (n,); None for a start in equilibrium."""
+        """State from which runs start, relative to equilibrium, shape (n,); None for a start in equilibrium."""
         if not self.start:
             return None
         model = self.linear_model
@@ -275,8 +275,8 @@ class Vehicle(ShownResult):
         Preloaded springs carry the static loads that belong to the new parameters.
 
         Args:
-            values: new values [SI] by parameter.
-            fields: new values of other fields of the vehicle.
+            values: new values [SI] by name of the parameter.
+            fields: new values of further fields of the vehicle, by name of the field.
         """
         parameters = {**self.parameters, **values}
         if self.curves:
@@ -342,7 +342,7 @@ class Vehicle(ShownResult):
             deflections: names of the deflection signals of e suspensions.
 
         Returns:
-            Effects per unit force on the derivatives of the n states, shape (n, e), and on the p outputs, shape (p, e). If a
+            Effects of a unit force on the derivatives of the n states, shape (n, e), and on the p outputs, shape (p, e). If a
             part has an inertance, a share of each force accelerates the inertance.
         """
         from models.kinds.at_wheels import force_effects
@@ -443,8 +443,8 @@ class Vehicle(ShownResult):
         unchanged.
 
         Args:
-            part: the omitted part: `noise` (measurement noise and quantisation), `delay` (of the forces), `limits` (largest
-                force and bump stops) or `lag` (of actuators or valves).
+            part: omitted part: `noise` (measurement noise and quantisation), `delay` (of the forces), `limits`
+                (largest force and bump stops) or `lag` (of actuators or valves).
 
         Raises:
             InputError: `part` is not the name of a part.
@@ -704,13 +704,13 @@ def read_vehicle(file: str | Path) -> Vehicle:
 
 
 def resolved_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """Replaces names of other files in the text of a vehicle file by the contents of these files.
+    """Replaces the names of files in the text of a vehicle file by the contents of these files.
 
     Returns:
         The complete text, and the paths of the files whose contents it contains.
 
     Raises:
-        InputError: the text is not TOML, or another file is missing or invalid.
+        InputError: the text is not TOML, or a file that it names is missing or invalid.
     """
     if not re.search(r"\bfamily\b|\b(file|stop)\b[\"']?\s*[=\]]", text):
         return text, ()
@@ -729,8 +729,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         The vehicle that the file describes, with parameters in SI units.
 
     Raises:
-        InputError: the text refers to another file, which only `read_vehicle` reads, or is invalid for one of the reasons
-            listed in `read_vehicle`.
+        InputError: the text names a file, which only `read_vehicle` would read, or is invalid for a reason that `read_vehicle`
+            lists.
 
     Example:
         >>> from models import parse_vehicle, read_vehicle

@@ -13,7 +13,9 @@ OUTPUTS = (signals.SUSPENSION_DEFLECTION, signals.SPRUNG_VELOCITY, signals.SPRUN
 
 
 def linear_model(p):
-    """Returns the linear model: d' = v - w, m v' = -k d + u."""
+    """Returns the linear model with the deflection d, the velocity v, the road velocity w and the force u: d' = v - w, m v' =
+    -k d + u.
+    """
     A = np.array([[0, 1], [-p["stiffness"] / p["mass"], 0]])
     B = np.array([[0], [1 / p["mass"]]])
     C, D = np.vstack([np.eye(2), A[1], [0, 0]]), np.vstack([[0], [0], B[1], [1]])

@@ -30,7 +30,7 @@ def wheelbase(p):
 
 
 def linear_model(p):
-    """Returns the linear model: 4 states, 2 forces [N], 2 roads [m/s], 9 output signals."""
+    """Returns the linear model with 4 states, 2 forces [N], 2 road velocities [m/s] and 9 output signals."""
     springs, dampers = (np.diag([2 * p[f"{part}_{axle}"] for axle in AXLES]) for part in ("stiffness", "damping"))
     # Matrix that converts heave and pitch (nose down) to the heights of the front and rear ends of the body
     ends = np.column_stack([[1, 1], -arms(p)])

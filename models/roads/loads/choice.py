@@ -1,4 +1,4 @@
-"""Loads by name: `KIND[:NAME=VALUE...]`, or a CSV file with values over time.
+"""Loads by name: `KIND[:NAME=VALUE...]`, or the name of a CSV file with values of a load against time.
 
 A load is written in the same form on command lines, in campaign files and in logs.
 """

@@ -1,4 +1,4 @@
-"""Loads on the body over time: external forces and moments.
+"""Loads on the body as functions of time: external forces and moments.
 
 The vehicle model drives straight ahead. Braking, cornering, payload and wind therefore act as equivalent loads at the centre of
 mass of the body (d'Alembert forces): a vertical force F, a pitch moment M_pitch and a roll moment M_roll. Positive directions
@@ -40,7 +40,7 @@ Y = Annotated[float, SI("m", "position, to the left of the body's centre of mass
 
 
 class Load(ABC):
-    """Load over time that can act on any vehicle."""
+    """Load as a function of time that can act on any vehicle."""
 
     @property
     @abstractmethod
@@ -85,7 +85,7 @@ class Load(ABC):
             t: middle times of the steps [s].
             timestep: length of a step [s].
             p: parameters of the vehicle [SI], by name.
-            kind: vehicle type, as in `at`.
+            kind: vehicle type, as for the method `at`.
         """
         return self.at(t, p, kind)
 
