@@ -113,7 +113,7 @@ def static_tyre_deflection(p: Parameters) -> dict[str, float]:
 
 
 def static_loads(p: Parameters) -> dict[str, float]:
-    """Returns the static load on the suspension [N]."""
+    """Returns the static load that the suspension spring carries [N]."""
     return {signals.SUSPENSION_DEFLECTION.name: (p["sprung_mass"] + p.get("seat_mass", 0.0)) * GRAVITY}
 
 

@@ -82,7 +82,7 @@ class Argument(ListedValues):
     slope: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
-        """Returns the values of the velocity, deflection or compression, after checking that they ascend."""
+        """Returns the values of the velocity, deflection or compression, after checking that these values ascend."""
         x = np.array(super().read(value, context))
         for i in np.flatnonzero(np.diff(x) < CLOSEST * np.ptp(x))[:1].tolist():
             do = f"sort the points by {self.name}, and give each value once" if x[i] >= x[i + 1] else "omit one of them"

@@ -168,7 +168,7 @@ class RatioSection(TableSection):
 
 
 def ratio_table(where: str, entry: Any, check: Callable[[float], object]) -> RatioTable:
-    """Returns a motion ratio from its table in a vehicle file. `check` raises an InputError for a ratio that is not allowed."""
+    """Returns a motion ratio whose table is in a vehicle file. `check` raises an InputError for a ratio that is not allowed."""
     x, ratio = read(where, RatioSection, entry).points
     with error_in(f"{where}:"):
         if not x[0] < 0 < x[-1]:

@@ -42,7 +42,7 @@ class Child:
         Args:
             answers: generator function that runs in the child. The function receives an iterator of messages and yields an
                 answer for each message. If the function yields or raises an exception, `receive` raises the same exception in
-                the parent. If the function raises the exception instead of yielding it, the child also ends.
+                the parent. If the function raises an exception instead of yielding an exception, the child also ends.
         """
         code = f"import sys; sys.path[:] = {sys.path!a}; from models.common.children import serve; serve()"
         process = subprocess.Popen(

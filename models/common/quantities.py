@@ -1,4 +1,4 @@
-"""Columns of tables in users' files: names, units and signs.
+"""Names, units and signs of columns in the tables of users' files.
 
 The same table of quantities is used for road profiles, drive files of rigs, characteristics of dampers and springs, and loads
 against time.

@@ -377,7 +377,7 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
         The section, an object of the dataclass.
 
     Raises:
-        InputError: a key is missing or unknown, a value is not allowed, or values do not fit together. The message gives
+        InputError: a key is missing or unknown, a value is not allowed, or values do not fit together. The error message gives
             section and key, the wrong value, the allowed values and a correction.
     """
     if not isinstance(given, Mapping):

@@ -31,7 +31,8 @@ class Replacement:
 
 
 def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
-    """Returns a TOML text with replaced keys. A comment on the line of a replaced key stays on the line of the first new key.
+    """Returns a TOML text in which some keys are replaced. A comment on the line of a replaced key stays on the line of the
+    first new key.
 
     Raises:
         InputError: the text is not TOML, or the changed text would not contain exactly the expected values.

@@ -211,7 +211,7 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
     The list is empty for a rig, if the road is too short, or if the points of a profile are too far apart.
 
     Args:
-        road: the road; a measured profile ends at its last point.
+        road: the road over which the car drives; a measured profile ends at its last point.
         vehicle: the vehicle, whose track width determines the tracks.
         distance: driven distance [m].
     """

@@ -165,7 +165,7 @@ class Iso8608(Section, Road):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Time at which the road begins [s]."""
+        """Time at which the random road begins [s]."""
         return (0.0,)
 
     def describe(self) -> dict[str, float | str]:

@@ -20,8 +20,8 @@ AT_ONCE = 1e-9
 class WattsHump(Obstacle):
     """Speed hump of Watts: a circular arc. The slope of the hump jumps at both ends.
 
-    Source: G. R. Watts (1973), "Road humps for the control of vehicle speeds", TRRL report LR 597. The humps of the report are
-    3.7 m long and 25 to 100 mm high.
+    Source: G. R. Watts (1973), "Road humps for the control of vehicle speeds", TRRL report LR 597. The humps in the report of
+        Watts are 3.7 m long and 25 to 100 mm high.
 
     Raises:
         InputError: a number is out of its range, or the arc is longer than half a circle.

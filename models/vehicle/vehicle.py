@@ -662,7 +662,8 @@ class Vehicle(ShownResult):
         """Returns the entry of a controller to which linear analysis applies.
 
         Raises:
-            InputError: the file has no controller of that name, or its law is a Python law or a semi-active law.
+            InputError: the vehicle file has no controller with the name, or the controller's law is a Python law or a
+                semi-active law.
         """
         if name not in self.controllers:
             raise InputError(f"unknown controller {name!r}; this vehicle has {list_names(self.controller_names)}")
