@@ -14,7 +14,7 @@ Marker = Literal["", "o", "s", "^", "D", "v", "p", "x", "+"]
 
 
 class Style(NamedTuple):
-    """Line style of a controller. Any two styles differ in more than colour, so that readers can distinguish them without colours.
+    """Line style of a controller. Any two styles differ in more than colour, so readers can distinguish them without colours.
 
     Attributes:
         color: colour as `#rrggbb`.
