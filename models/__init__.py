@@ -1,7 +1,8 @@
 """Vehicle models: equations of motion, MuJoCo models, parameters, signal names, roads and control laws.
 
 Start with `read_vehicle`, which reads a vehicle file or a built-in vehicle, and with `choose_road`, which turns a text such as
-"bump" into a road. All quantities are in SI units. These are the public names, each of which is imported when it is first used:
+"bump" into a road. All quantities are in SI units. The following names are public, and each name is imported when it is first
+used:
 
 - vehicles: `read_vehicle`, `parse_vehicle`, `Vehicle`
 - roads: `Bump`, `Step`, `Pothole`, `WattsHump`, `Flat`, `SineSweep`, `Iso8608`, `Profile`, `Rig`; their base class `Road`; and
@@ -12,7 +13,7 @@ Start with `read_vehicle`, which reads a vehicle file or a built-in vehicle, and
 - measured signals from a log file: `read_measured_log`
 - errors: `InputError`, raised for any invalid input; its message is one line that gives the cause and the correction
 
-All other names may be moved or renamed without notice.
+Names that are not in this list may be moved or renamed without notice.
 """
 
 from models.common.lazy import attach

@@ -1,7 +1,7 @@
 """Full car: heave, pitch and roll of a body on four wheels. The equations are in `kinds/rigid_body.py`.
 
-Instead of four tyre deflections, the fourteen states contain the three modes of the tyre deflections that a rigid body can
-follow. The fourth mode, warp, follows from the suspension deflections and the warp of the road. If the axles have different
+Instead of four tyre deflections, the fourteen states contain only those three modes of the tyre deflections that a rigid body
+can follow. The fourth mode, warp, follows from the suspension deflections and the warp of the road. If the axles have different
 track widths, only the warp mode changes.
 """
 

@@ -1,8 +1,9 @@
 """Half-car in the roll plane: heave and roll of a body on a left and a right wheel, seen from behind.
 
-The equations are in `kinds/rigid_body.py`. Both wheels are in the same cross-section. No wheel is behind another wheel, and
-each wheel drives on its own track of the road. A full car with equal axles moves like two of these half-cars if both axles
-drive over the same road. The axles must have equal distances from the centre of mass.
+The equations are in `kinds/rigid_body.py`. Both wheels are in the same cross-section of the car. The left wheel drives on the
+left track of the road, and the right wheel on the right track; neither wheel is behind the other. A full car with equal axles
+moves like two half-cars in the roll plane if both axles drive over the same road. The axles of the full car must also have
+equal distances from the centre of mass.
 """
 
 import numpy as np

@@ -113,7 +113,7 @@ def static_tyre_deflection(p: Parameters) -> dict[str, float]:
 
 
 def static_loads(p: Parameters) -> dict[str, float]:
-    """Returns the static load on the suspension [N]."""
+    """Returns the static load that the suspension spring carries [N]."""
     return {signals.SUSPENSION_DEFLECTION.name: (p["sprung_mass"] + p.get("seat_mass", 0.0)) * GRAVITY}
 
 
@@ -121,8 +121,8 @@ def write_mjcf(spec: Any, p: Parameters) -> None:
     """Writes the parameters into the MjSpec of `quarter_car.xml`.
 
     Two preloads make qpos = 0 the static equilibrium: the suspension spring carries m_s g, the tyre carries (m_s + m_u) g. The
-    tyre's rest length is its length in the drawing plus the static compression. Above the rest length, the tyre is slack (dead
-    band), so the wheel can lift off.
+    tyre's rest length is the length in the drawing plus the static compression of the tyre. Above the rest length, the tyre is
+    slack (dead band), so the wheel can lift off.
     """
     spec.body("sprung").mass = p["sprung_mass"]
     spec.body("unsprung").mass = p["unsprung_mass"]
@@ -156,7 +156,7 @@ def motion(p: Parameters) -> "Motion":
 
 
 def hub_frequency(p: Parameters) -> float:
-    """Returns the natural frequency of the wheel on its tyre without suspension [rad/s]."""
+    """Returns the natural frequency of the unsprung mass on the tyre if there were no suspension [rad/s]."""
     return math.sqrt(p["tyre_stiffness"] / p["unsprung_mass"])
 
 
@@ -166,7 +166,7 @@ def mass_ratio(p: Parameters) -> float:
 
 
 def rigid_frequency(p: Parameters) -> float:
-    """Returns the natural frequency of both masses, rigidly connected, on the tyre [rad/s]."""
+    """Returns the natural frequency on the tyre if both masses were rigidly connected [rad/s]."""
     return math.sqrt(p["tyre_stiffness"] / (p["sprung_mass"] + p["unsprung_mass"]))
 
 

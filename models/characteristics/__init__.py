@@ -1,4 +1,6 @@
-"""Measured characteristics: forces against velocity and deflection, motion ratios against travel, and their tables in files."""
+"""Measured characteristics (force against velocity or deflection, motion ratio against travel), and files that contain their
+tables.
+"""
 
 STOP_KEYS = ("suspension_stroke", "stop_stiffness")  # keys of bump stops in vehicle files
 STOP = "stop"  # other name of the key `stop_stiffness`, which is used for tables and files

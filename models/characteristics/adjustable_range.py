@@ -1,28 +1,31 @@
 """`[actuators]` of a vehicle file: each suspension has a force actuator or a semi-active damper.
 
-A valve sets the coefficient c of a semi-active damper between c_min and c_max. The damper gives the force -c v, where v is the
-velocity at which its suspension extends. The linear model, (28) in the paper, contains the nominal coefficient c_s. The control
-force u is the difference between the damper's force and the force with the nominal coefficient:
+A valve sets the damping coefficient c of a semi-active damper to a value between c_min and c_max. The damper gives the force
+-c v, where v is the velocity at which the damper's suspension extends. The linear model, equation (28) of the paper, contains
+the nominal damping coefficient c_s. The control force u is the difference between the damper's force and the force with the
+nominal coefficient:
 
     u = -(c - c_s) v.
 
-If a controller commands a control force u*, the valve sets the coefficient that gives this force, within the limits:
+If a controller commands a control force u*, the valve sets the coefficient that gives the force u*, between c_min and c_max:
 
     c = clip(c_s - u* / v, c_min, c_max).
 
-If the damper has characteristics instead of c_min and c_max, c = clip(c_s - u* / h(v), c_min, c_max), where h is defined below.
-At each sample of the controller, the coefficient is computed from the velocity, and then held until the next sample. If v is 0
-but u* is not 0, v counts as slightly negative. If v and u* are 0, the damper has the nominal coefficient.
+For a damper with characteristics, the coefficient is c = clip(c_s - u* / h(v), c_min, c_max), where h(v) is defined below. At
+each sample of the controller, the coefficient is computed from the damper's velocity, and then held until the next sample. If
+the velocity v is 0 but the commanded force u* is not 0, v counts as slightly negative. If the velocity v and the commanded
+force u* are both 0, the damper has the nominal coefficient.
 
-The limits can also be measured characteristics: the force against velocity at the softest setting, F_min, and at the firmest
-setting, F_max (`models.parts`). At the valve setting s, a number from 0 (softest) to 1 (firmest), the damper pulls with the
-force
+Measured characteristics can replace c_min and c_max: the force against velocity at the softest setting, F_min, and at the
+firmest setting, F_max (`models.parts`). At the valve setting s, a number from 0 (softest) to 1 (firmest), the damper pulls with
+the force
 
     F = (1 - s) F_min(v) + s F_max(v) = F_min(v) + (c - c_min) h(v),    h = (F_max - F_min) / (c_max - c_min),
 
-where c_min and c_max are the slopes of F_min and F_max at v = 0. A setting is also given by its coefficient at v = 0, c = c_min
-+ s (c_max - c_min). The function h(v) is a velocity, and its slope at v = 0 is 1. If the characteristics are straight lines, h
-= v and F = c v; otherwise, h can be nonlinear.
+where the coefficients c_min and c_max are the slopes of the characteristics F_min and F_max at v = 0. Instead of s, the damping
+coefficient at v = 0, c = c_min + s (c_max - c_min), can also define the valve setting. The function h(v) is a velocity, and its
+derivative at v = 0 is 1. If the damper's characteristics are straight lines, h(v) = v and the force is F = c v; otherwise, h(v)
+can be nonlinear.
 """
 
 from collections.abc import Mapping, Sequence
@@ -44,7 +47,7 @@ TOUCHING_DISTANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """Characteristics of a semi-active damper.
+    """Softest and firmest characteristic of a semi-active damper.
 
     Attributes:
         soft: characteristic at the softest setting.
@@ -56,26 +59,27 @@ class Envelope:
 
     @cached_property
     def knots(self) -> Array:
-        """Velocities of the points of both characteristics [m/s], shape (n,)."""
+        """Velocities at which the softest or the firmest characteristic has a point [m/s], shape (n,)."""
         return np.unique(np.concatenate([self.soft.x, self.hard.x]))
 
     @cached_property
     def shape(self) -> ForceCurve:
-        """The function h [m/s] over velocity [m/s]."""
+        """The function h(v) [m/s] of the damper's velocity v [m/s], as defined in this module."""
         x = self.knots
         bent = (self.hard.pieces.force(x) - self.soft.pieces.force(x)) / (self.hard.slope - self.soft.slope)
         return ForceCurve(x, x + bent, 1.0, "the difference of the damper's settings")
 
     @property
     def line(self) -> float:
-        """Slope of h at velocity 0: the smaller one of the slopes on the two sides of 0."""
+        """Slope of the function h(v) at velocity 0; if the slopes on the two sides of 0 differ, the smaller slope."""
         rest = int(np.searchsorted(self.knots, 0.0))
         return float(self.shape.slopes[rest : rest + 2].min())
 
     @property
     def ramps(self) -> tuple[tuple[float, float, int], ...]:
-        """Ramps whose sum is the difference between h and a straight line: knot [m/s] at which each ramp begins, its slope, and
-        1 or -1. A ramp with 1 acts at velocities above its knot, a ramp with -1 at velocities below it.
+        """Ramps whose sum is the difference between h(v) and a straight line: for each ramp, the knot at which the ramp begins
+        [m/s], the slope, and 1 or -1. A ramp with 1 acts at velocities above its knot, and a ramp with -1 acts at velocities
+        below its knot.
 
         The slope of a ramp that begins at 0 is never negative, because MuJoCo would interpret the bias of the ramp's actuator
         as a damping ratio.
@@ -89,11 +93,11 @@ class Envelope:
 
     @property
     def straight(self) -> bool:
-        """True if both characteristics are straight."""
+        """True if both characteristics of the damper are straight lines."""
         return not len(self.soft.pieces.slope) and not len(self.hard.pieces.slope)
 
     def same(self, other: "Envelope | None") -> bool:
-        """Returns True if another pair has the same characteristics."""
+        """Returns True if another pair of characteristics is equal to this pair."""
         if other is None:
             return False
         pairs = ((self.soft, other.soft), (self.hard, other.hard))
@@ -101,7 +105,7 @@ class Envelope:
 
 
 def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
-    """Returns the two characteristics as an object that limits the force of a semi-active damper.
+    """Returns the softest and the firmest characteristic as one object, which limits the force of a semi-active damper.
 
     Args:
         soft: characteristic at the softest setting.
@@ -142,11 +146,11 @@ class Damper:
     """Semi-active damper.
 
     Attributes:
-        c_min: smallest coefficient [N s/m]; for a damper with characteristics, the slope of `soft` at velocity 0.
-        c_max: largest coefficient [N s/m]; for a damper with characteristics, the slope of `hard` at velocity 0.
+        c_min: smallest damping coefficient [N s/m]; for a damper with characteristics, the slope of `soft` at velocity 0.
+        c_max: largest damping coefficient [N s/m]; for a damper with characteristics, the slope of `hard` at velocity 0.
         bandwidth: corner frequency of the valve's first-order lag between commanded and actual coefficient [rad/s]; None for a
-            valve without lag.
-        pair: characteristics of the damper; None if they are straight lines.
+            valve that has no lag.
+        pair: softest and firmest characteristic of the damper; None if both characteristics are straight lines.
         replaces: True if the semi-active damper replaces the suspension's own damper.
     """
 
@@ -158,12 +162,12 @@ class Damper:
     pair: Envelope | None = None
 
     def among(self, elements: Sequence[Any]) -> "Damper":
-        """Returns the damper that acts in a vehicle with the given elements of `[parts]`."""
+        """Returns the semi-active damper as it acts in a vehicle that also has the given elements of `[parts]`."""
         return self
 
     @property
     def words(self) -> str:
-        """Description of the damper in a phrase."""
+        """Description of the semi-active damper in a phrase."""
         lag = "" if self.bandwidth is None else f", with a valve of bandwidth {self.bandwidth:g} rad/s"
         between = "" if self.pair is None else " at velocity 0, between two curves"
         return f"a semi-active damper of {self.c_min:g} to {self.c_max:g} N s/m{between}{lag}"
@@ -214,7 +218,7 @@ class ActuatorSection(Section):
 
     @property
     def damper(self) -> Damper | None:
-        """The damper; None for a force actuator.
+        """The semi-active damper; None for a force actuator.
 
         Raises:
             InputError: the characteristics are not valid for a damper.
@@ -233,8 +237,8 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     """Reads `[actuators]` and returns the semi-active dampers, by the name of the control force that each damper produces.
 
     Args:
-        section: section `[actuators]` with keys for all dampers, and with sections for single dampers. Each of these sections
-            is named after the suffix of the damper's control force.
+        section: section `[actuators]` with keys for all dampers, and with sections for single dampers. The section of a single
+            damper is named after the suffix of the damper's control force.
         corners: suffix of the name of each control force, including the underscore.
         limited: keys in `[limits]` of the file that limit force actuators.
 
@@ -265,7 +269,7 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
 
 
 def check_unlimited(limited: Sequence[str], what: str) -> None:
-    """Checks that `[limits]` has no limits for force actuators. The argument `what` describes the dampers in the message.
+    """Checks that `[limits]` has no limits for force actuators. The argument `what` describes the dampers in the error message.
 
     Raises:
         InputError: a key of `[limits]` limits force actuators.

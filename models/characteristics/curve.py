@@ -4,13 +4,14 @@ Velocity and deflection are positive if the suspension extends. A force is posit
 damper dissipates energy if force and velocity have the same sign. Outside the range of its points, a characteristic is
 extrapolated linearly with the slopes of its first and last segments.
 
-Linear analysis uses the slope s at 0; at a kink, it uses the mean of the slopes on the two sides. The deviation of the force F
-from the straight line s x is a sum of straight segments, each between two bounds:
+Linear analysis uses the slope s of the characteristic at 0; at a kink, s is the mean of the slopes on the two sides.
+The deviation of the force F from the straight line s x is a sum of ramps, each clipped to a lower and an upper bound:
 
     F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i).
 
-The sum has a term for every segment whose slope is not s. In this term, k_i is the end of the segment that is closer to 0. A
-straight characteristic has no terms. The sum is also valid for a characteristic whose force falls in some segments.
+The sum has a term for every segment whose slope differs from the slope s at 0. In the term of segment i, k_i is the end of the
+segment that is closer to 0. A straight characteristic has no terms. The sum is also valid for a characteristic in which the
+force decreases in some segments.
 """
 
 from collections.abc import Sequence
@@ -33,7 +34,7 @@ class Pieces:
     (..., P).
 
     Attributes:
-        slope: slope a of each segment [N per unit of the argument], shape (..., P).
+        slope: slope a of each segment, in N per unit of the argument (velocity or deflection), shape (..., P).
         start: end k of each segment that is closer to 0 [unit of the argument], shape (..., P).
         low: lower bound of the force [N], shape (..., P); infinite for a segment without end.
         high: upper bound of the force [N], shape (..., P); infinite for a segment without end.
@@ -56,8 +57,8 @@ class Pieces:
 
     @staticmethod
     def stacked(each: "Sequence[Pieces | None]", shape: tuple[int, ...]) -> "Pieces":
-        """Returns the segments of several characteristics, shape (*shape, P). For an entry None, all values of the segments are
-        0.
+        """Returns the segments of several characteristics, shape (*shape, P). If a characteristic is None, all values of its
+        segments are 0.
         """
         stacked = np.zeros((4, len(each), max(len(one.slope) for one in each if one is not None)))
         for i, one in enumerate(each):
@@ -75,14 +76,15 @@ class ForceCurve:
     """Force against velocity or deflection.
 
     Attributes:
-        x: points [m/s or m], ascending, including 0 between the first and the last point, shape (n,).
-        force: forces at the points [N], 0 at x = 0, shape (n,).
+        x: velocities or deflections of the points [m/s or m], ascending, including 0 between the first and the last point,
+            shape (n,).
+        force: force at each point [N], 0 at x = 0, shape (n,).
         slope: slope of the straight line that linear analysis uses [N s/m or N/m].
         words: description of the characteristic, a phrase.
         at_rest: force of the user's table in equilibrium [N], which has been subtracted from `force`.
         note: remark about the table in the file, a phrase.
-        whole: characteristic with all points of the table; None if this object contains all of them.
-        error: largest difference between the force of this object and the force of `whole` [N].
+        whole: characteristic with all points of the table; None if `x` and `force` contain all points.
+        error: largest difference between the forces of this characteristic and of the characteristic `whole` [N].
     """
 
     x: Array
@@ -96,13 +98,15 @@ class ForceCurve:
 
     @staticmethod
     def together(curves: "Sequence[ForceCurve]", shape: tuple[int, ...]) -> "StackedCurves":
-        """Combines several characteristics into an object that evaluates all of them at arguments of shape (..., *shape)."""
+        """Combines several characteristics into an object that evaluates all characteristics at once, at arguments of shape
+        (..., *shape).
+        """
         return StackedCurves(
             Pieces.stacked([one.pieces for one in curves], shape), np.reshape([one.slope for one in curves], shape)
         )
 
     def __call__(self, x: Array) -> Array:
-        """Returns the force at given arguments [N], shape (...)."""
+        """Returns the force [N] at each velocity or deflection in x, shape (...)."""
         line = self.slope * np.asarray(x)
         return line + self.pieces.force(x) if self.is_nonlinear else line
 
@@ -114,7 +118,7 @@ class ForceCurve:
         return replace(self, force=factor * self.force, slope=factor * self.slope, whole=whole, error=factor * self.error)
 
     def at_wheel(self, ratio: float) -> "ForceCurve":
-        """Returns the characteristic at the wheel, r F(r x), of an element with motion ratio r and force F."""
+        """Returns the characteristic at the wheel, r F(r x), of an element with motion ratio r and force F(x)."""
         return self if ratio == 1 else replace(self, x=self.x / ratio, force=ratio * self.force, slope=ratio**2 * self.slope)
 
     def about_load(self, more: float) -> "ForceCurve":
@@ -124,7 +128,7 @@ class ForceCurve:
             more: additional load [N].
 
         Raises:
-            InputError: the forces in the table do not reach this load.
+            InputError: the forces in the table do not reach the additional load.
         """
         own = self.whole or self
         low, high = -float(own.force.max()), -float(own.force.min())
@@ -151,7 +155,7 @@ class ForceCurve:
 
     @cached_property
     def pieces(self) -> Pieces:
-        """Segments whose sum is the deviation from the straight line of linear analysis."""
+        """Segments whose sum is the deviation of the characteristic from the straight line that linear analysis uses."""
         edges, rows = np.concatenate([[-np.inf], self.x, [np.inf]]), []
         for left, right, slope in zip(edges[:-1], edges[1:], self.slopes - self.slope, strict=True):
             if abs(slope) > STRAIGHT * np.abs(self.slopes).max():
@@ -171,7 +175,9 @@ class ForceCurve:
         return float(self.slopes.min()), float(self.slopes.max())
 
     def work(self, x: Array) -> Array:
-        """Returns the integral of the deviation from the straight line, from 0 to each of the given arguments, shape (...)."""
+        """Returns the integral of the characteristic's deviation from the straight line of linear analysis, from 0 to each
+        argument in x, shape (...).
+        """
         edges = np.concatenate([[-np.inf], self.x, [np.inf]])
         knots, x = self.pieces.force(self.x), np.asarray(x)
         to_knots = np.concatenate([[0.0], np.cumsum((knots[1:] + knots[:-1]) / 2 * np.diff(self.x))])
@@ -186,9 +192,10 @@ class ForceCurve:
 
     @cached_property
     def departures_at(self) -> tuple[float, float]:
-        """Arguments below and above 0 at which the deviation from the line first reaches `LEAVES` times the largest force.
+        """Arguments below and above 0 at which the deviation from the straight line first reaches `LEAVES` times the largest
+        force.
 
-        The values are infinite if the deviation never reaches this limit.
+        If the deviation on one side of 0 never reaches `LEAVES` times the largest force, the argument on that side is infinite.
         """
         limit, arguments = LEAVES * self.range, []
         for side in (-1.0, 1.0):
@@ -212,8 +219,8 @@ class StackedCurves:
     """Several characteristics that are evaluated together.
 
     Attributes:
-        pieces: segments of each characteristic, shape (..., P).
-        slope: slope of each characteristic in linear analysis, shape (...).
+        pieces: segments of each characteristic, P segments for each, shape (..., P).
+        slope: slope that linear analysis uses for each characteristic, shape (...).
     """
 
     pieces: Pieces

@@ -1,11 +1,11 @@
-"""Files with characteristics, to which a vehicle file refers by `file = "damper.csv"` or `stop = "bump.csv"`.
+"""Files that contain characteristics, and to which a vehicle file refers by `file = "damper.csv"` or `stop = "bump.csv"`.
 
-When a vehicle file is read, the tables in these files replace the file names, so later steps need only the vehicle file. The
-files of control laws and families are handled in the same way. Tables in CSV, `.xlsx` or `.mat` files have a header with
-quantity and unit of each column: `velocity [mm/s], force [kN]`. Damper property files (`.dpr`) of Adams/Car have the TeimOrbit
-format. A file in this format consists of blocks in brackets, tables below a row of names in braces, and comments after `$` or
-`!`. The block `[UNITS]` contains the units, and the block `[CURVE]` contains the table. Sources: MSC Software, Adams Tire help,
-"About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ.
+When a vehicle file is read, the tables replace the names of the files that contain them, so later steps need only the vehicle
+file. The names of files with control laws or vehicle families are also replaced by the contents of these files. Tables in
+CSV, `.xlsx` or `.mat` files have a header with quantity and unit of each column: `velocity [mm/s], force [kN]`. Damper property
+files (`.dpr`) of Adams/Car have the TeimOrbit format. A TeimOrbit file consists of blocks in brackets, tables below a row of
+names in braces, and comments after `$` or `!`. The block `[UNITS]` contains the units, and the block `[CURVE]` contains the
+table. Sources: MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ.
 """
 
 import re
@@ -50,7 +50,7 @@ def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]
     """Yields, for each file name of a characteristic or stop in a vehicle file, the table that replaces the name.
 
     Args:
-        data: tables of the vehicle file.
+        data: content of the vehicle file as TOML tables.
         folder: folder of the vehicle file, to which paths are relative.
 
     Raises:
@@ -92,7 +92,7 @@ def _entries_with_files(entry: Any, path: tuple[str, ...], texts: bool = False) 
     Args:
         entry: entry of the vehicle file.
         path: keys that lead to the entry.
-        texts: True if every text in the entry is a file name, unless it is a number with a unit.
+        texts: True if every text in the entry is a file name, except numbers with a unit.
     """
     named = isinstance(entry, str) and texts and not _is_quantity(entry)
     if named or _names_file(entry) or (isinstance(entry, list) and any(map(_names_file, entry))):
@@ -130,7 +130,7 @@ def _argument(path: tuple[str, ...]) -> str:
 
 
 def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources: list[tuple[str, Path]]) -> dict[str, Any]:
-    """Returns the table in a file as an entry of the vehicle file, and adds the source of the table to `sources`."""
+    """Returns the table in a file in the form of an entry of the vehicle file, and adds the source of the table to `sources`."""
     name = entry["file"]
     if not isinstance(name, str) or not name:
         raise InputError(f"file = {short_repr(name)} is not the name of a file; {GIVE}")
@@ -150,11 +150,12 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
 
 
 def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
-    """Returns a table in SI units. Values are positive in extension, but values of a stop are positive in compression.
+    """Returns the table of a characteristic in SI units. All values are positive if the suspension extends, but the values of a
+    stop are positive in compression.
 
-    The words in the headings determine the signs. The data sheet of a damper dynamometer has a speed v, a rebound force and a
-    compression force in each row. F(v) is then the rebound force, and F(-v) is minus the compression force. A table whose
-    argument goes back and forth is a measured hysteresis loop.
+    The words in the headings determine the signs of the values. The data sheet of a damper dynamometer has a speed v, a rebound
+    force and a compression force in each row. The force F(v) at the speed v of a row is the rebound force, and F(-v) is minus
+    the compression force. A table whose argument goes back and forth is a measured hysteresis loop.
 
     Args:
         text: content of the file.
@@ -239,7 +240,7 @@ def _note(remarks: Sequence[str]) -> dict[str, str]:
 
 
 def _dissipation_signs(velocity: Array, force: Array, motion: Heading, load: Heading) -> tuple[tuple[float, float], list[str]]:
-    """Returns the signs of velocity and force with which a damper dissipates energy, and a remark about a changed sign.
+    """Returns the signs of velocity and force with which a damper dissipates energy, and a remark if a sign is changed.
 
     Args:
         velocity: velocities [m/s], shape (n,).
@@ -248,7 +249,7 @@ def _dissipation_signs(velocity: Array, force: Array, motion: Heading, load: Hea
         load: heading of the column with force.
 
     Raises:
-        InputError: the headings state the signs of velocity and force, but with these signs the damper would supply energy.
+        InputError: the headings state signs of velocity and force with which the damper would supply energy.
     """
     if (power := dissipation(velocity, force)) > 0:
         return (1.0, 1.0), []
@@ -277,7 +278,9 @@ def _of_ratio(text: str) -> dict[str, Any]:
 
 
 def _role(heading: Heading) -> str:
-    """Returns the quantity of a column, a key of `ROLES`, from the words or unit of the heading; empty for other quantities."""
+    """Returns the quantity of a column, a key of `ROLES`, from the words or unit of the heading; empty if `ROLES` does not
+    contain the quantity.
+    """
     for role, words in ROLES.items():
         if heading.words & words:
             return role
@@ -286,7 +289,7 @@ def _role(heading: Heading) -> str:
 
 
 def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[float], list[float]]:
-    """Returns velocities and forces from the data sheet of a dynamometer."""
+    """Returns the velocities and forces in the data sheet of a damper dynamometer."""
     if (speed < 0).any():
         raise InputError("has a speed below 0; give speeds of 0 or more, with the forces in compression and in rebound")
     order = np.argsort(speed, kind="stable")

@@ -1,9 +1,9 @@
 """Approximation of a characteristic that has many points by fewer straight segments.
 
 The algorithm is that of H. Imai and M. Iri (1986), An optimal algorithm for approximating a piecewise linear function, J. Inf.
-Process. 9, 159-162. The ends of the segments are points of the characteristic. The characteristic and its approximation are
-straight between points, so the largest error is at a point. The segments next to 0 keep the slopes of the characteristic,
-because linear analysis uses these slopes.
+Process. 9, 159-162. The ends of the approximation's segments are points of the characteristic. The characteristic and its
+approximation are straight between points, so the largest error is at a point. The segments next to 0 keep the slopes of the
+characteristic, because linear analysis uses these slopes.
 """
 
 import numpy as np
@@ -16,14 +16,14 @@ NOISE = 4 / 2.4
 
 
 def point_indices(x: Array, force: Array, error: float) -> Array:
-    """Returns the indices of the points of an approximation, shape (k,).
+    """Returns the indices of the points that an approximation keeps, shape (k,).
 
-    These are the first point, the last point, the point at 0, and as few other points as possible.
+    The approximation consists of the first point, the last point, the point at 0, and as few other points as possible.
 
     Args:
-        x: points of the characteristic, ascending, including 0, shape (n,).
+        x: argument (such as velocity) of each point of the characteristic, ascending, including 0, shape (n,).
         force: force at each point, shape (n,).
-        error: largest allowed error, in the unit of the force.
+        error: largest allowed error of the approximation, in the unit of the force.
     """
     rest = int(np.searchsorted(x, 0.0))
     indices, first = [], 0
@@ -35,8 +35,8 @@ def point_indices(x: Array, force: Array, error: float) -> Array:
 
 
 def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
-    """Returns the last point that a straight line from the point `first` can reach with at most the allowed error at all points
-    in between.
+    """Returns the last point to which a straight line from the point `first` can lead without exceeding the allowed error at
+    any point in between.
     """
     run, rise = x[first + 1 : last + 1] - x[first], force[first + 1 : last + 1] - force[first]
     # Every point between the two ends limits the slope of the line from above and from below.
@@ -49,14 +49,14 @@ def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> in
 
 
 def lines_from_rest(x: Array, force: Array, slopes: tuple[float, float], error: float) -> tuple[Array, Array]:
-    """Returns the ends of as few straight segments as possible, shapes (k,). The segments next to 0 have the slopes in
-    `slopes`.
+    """Returns the end points of as few straight segments as possible, shapes (k,). The two segments next to 0 have the slopes
+    in `slopes`.
 
     Args:
-        x: points of the characteristic, ascending, shape (n,).
+        x: argument (such as velocity) of each point of the characteristic, ascending, shape (n,).
         force: force at each point, 0 at x = 0, shape (n,).
-        slopes: slopes of the segments below and above 0.
-        error: largest allowed error, in the unit of the force.
+        slopes: slopes of the two segments next to 0, below and above 0.
+        error: largest allowed error of the approximation, in the unit of the force.
     """
     at = [(0.0, 0.0)]
     for side, slope in zip((-1.0, 1.0), slopes, strict=True):
@@ -72,14 +72,14 @@ def lines_from_rest(x: Array, force: Array, slopes: tuple[float, float], error: 
 
 
 def slopes_at_rest(x: Array, force: Array, error: float) -> tuple[float, float]:
-    """Returns the slopes of a table below and above 0.
+    """Returns the slopes of a table just below and just above the argument 0.
 
-    Without noise, these are the slopes of the segments at 0. Noise is the deviation of the points from smooth curves through
-    their neighbours. With noise, the function fits least-squares lines through 0, and uses the longest line from which no point
-    deviates by more than the noise.
+    If the table has no noise, the function returns the slopes of the two segments next to 0. Noise is the deviation of the
+    points from smooth curves through their neighbours. With noise, the function fits least-squares lines through 0, and uses
+    the longest line from which no point deviates by more than the noise.
 
     Args:
-        x: points of the table, ascending, shape (n,).
+        x: argument of each point of the table, ascending, shape (n,).
         force: force at each point, shape (n,).
         error: largest allowed deviation, in the unit of the force.
     """

@@ -1,9 +1,9 @@
-"""Logs of damper dynamometers: force and displacement over time, from which the velocity is computed.
+"""Logs of damper dynamometers: force and displacement against time. The velocity is computed from the displacement.
 
-The displacement is differentiated by the filter of A. Savitzky and M. Golay, which has no delay. Its 3 dB cut-off frequency is
-given by R. W. Schafer (2011), What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine 28, 111-117, eq. (12). For a
-damper, the mean of force times velocity over full cycles is above 0. The sign of this mean therefore shows whether the log
-gives force and velocity with the same sign.
+The displacement is differentiated by the filter of A. Savitzky and M. Golay, which has no delay. The 3 dB cut-off frequency of
+this filter is given by R. W. Schafer (2011), What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine 28, 111-117, eq.
+(12). For a damper, the mean of force times velocity over full cycles is above 0. The sign of the mean power therefore shows
+whether the log gives force and velocity with the same sign.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, 
         force: force [N], shape (n,).
 
     Raises:
-        InputError: time does not ascend or has a gap, there is no full cycle, or a cycle has too few samples.
+        InputError: the times do not ascend or have a gap, the log contains no full cycle, or a cycle has too few samples.
     """
     from scipy.signal import find_peaks, savgol_filter
 
@@ -69,10 +69,10 @@ def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, 
 def dissipation(velocity: Array, force: Array) -> float:
     """Returns the mean power that a damper dissipates, after subtracting its mean force [W].
 
-    The power is above 0 if force and velocity have the same sign.
+    The mean power is above 0 if the log gives force and velocity with the same sign.
 
     Raises:
-        InputError: the force does not depend on the velocity.
+        InputError: the measured force does not depend on the velocity.
     """
     power = float(np.mean((velocity - velocity.mean()) * (force - force.mean())))
     if not abs(power) > LEAST_CORRELATION * float(velocity.std() * force.std()):

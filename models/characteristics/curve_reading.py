@@ -1,6 +1,6 @@
 """`[curves]` of a vehicle file: tables of damper force against velocity, or of spring force against deflection.
 
-The tables are checked, and approximated by tables with fewer points.
+The tables in `[curves]` are checked, and approximated by tables with fewer points.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,14 +27,14 @@ FRICTION_POINTS = 601
 def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
     """Returns points of the friction force F tanh(v / v0).
 
-    Straight segments between the points have an error of at most `FRICTION_ERROR` F.
+    Straight segments between the points differ from the friction force by at most `FRICTION_ERROR` times F.
 
     Args:
         force: F [N].
         velocity: v0 [m/s].
 
     Returns:
-        Velocities [m/s] and forces [N] of the points, shapes (k,).
+        Velocity [m/s] and force [N] of each point, shapes (k,).
     """
     v = np.linspace(0.0, FRICTION_ENDS, FRICTION_POINTS)
     smooth = np.append(np.tanh(v[:-1]), 1.0)
@@ -67,13 +67,13 @@ ALONE = "is not allowed: a position-dependent damper cannot be combined with fri
 
 @dataclass(frozen=True)
 class Argument(ListedValues):
-    """Argument of a characteristic, which a file gives as a list of ascending values.
+    """Argument of a characteristic, such as the velocity; a file gives the values of the argument as an ascending list.
 
     Attributes:
         name: key of the list in the file, such as "velocity".
         largest: largest allowed value; a larger value probably has a wrong unit.
-        small: smaller unit in which a value above `largest` is probably given, for messages.
-        slope: SI unit of the force divided by the argument.
+        small: smaller unit, such as mm, in which a value above `largest` is probably given, for messages.
+        slope: SI unit of a slope, the unit of force divided by the unit of the argument.
     """
 
     name: str = ""
@@ -82,7 +82,7 @@ class Argument(ListedValues):
     slope: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
-        """Returns the values of the velocity, deflection or compression, after checking that they ascend."""
+        """Returns the values of the velocity, deflection or compression, after checking that these values ascend."""
         x = np.array(super().read(value, context))
         for i in np.flatnonzero(np.diff(x) < CLOSEST * np.ptp(x))[:1].tolist():
             do = f"sort the points by {self.name}, and give each value once" if x[i] >= x[i + 1] else "omit one of them"
@@ -108,7 +108,9 @@ Values = tuple[float, ...]
 
 @dataclass(frozen=True)
 class TableSection(Section):
-    """Section with a table of a quantity over an argument, or with the name of a file that contains the table."""
+    """Section with a table of a quantity against its argument (such as force against velocity), or with the name of a file that
+    contains the table.
+    """
 
     arguments: ClassVar[tuple[str, ...]] = ("velocity",)
     of: ClassVar[str] = "force"
@@ -131,14 +133,14 @@ class TableSection(Section):
 
     @property
     def points(self) -> tuple[Array, Array]:
-        """Argument and values of the table, shapes (n,), positive in extension."""
+        """Argument (velocity or deflection) and values of the table, shapes (n,), positive in extension."""
         x, values = (np.array(getattr(self, name)) for name in (*self.arguments, self.of) if getattr(self, name) is not None)
         return (x, values) if getattr(self, "compression", None) is None else (-x[::-1], -values[::-1])
 
 
 @dataclass(frozen=True)
 class CurveTable(TableSection):
-    """Force at given points, with linear interpolation."""
+    """Section with a table of the force at several points; the force is interpolated linearly between the points."""
 
     preload: ClassVar[Any] = False
 
@@ -151,7 +153,7 @@ class CurveTable(TableSection):
 
 @dataclass(frozen=True)
 class StopTableSection(CurveTable):
-    """Force of a bump stop."""
+    """Section with the table of a bump stop's force."""
 
     arguments: ClassVar[tuple[str, ...]] = ("compression", "deflection")
 
@@ -160,10 +162,10 @@ class StopTableSection(CurveTable):
 
 
 class Preload(SI):
-    """The load that a table carries in equilibrium; the value `true` means the static load of the spring."""
+    """Key for the load that a spring's table carries in equilibrium; the value `true` means the static load of the spring."""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns the load [N], or the value if it is `true` or `false`."""
+        """Returns the load [N]; a value `true` or `false` is returned unchanged."""
         return value if isinstance(value, bool) else super().read(value, context)
 
     @property
@@ -183,7 +185,7 @@ class SpringTable(StopTableSection):
 
 @dataclass(frozen=True)
 class DamperTable(CurveTable):
-    """Force of a damper, including the friction force F tanh(v / v0)."""
+    """Section with a table of a damper's force, to which a friction force F tanh(v / v0) can be added."""
 
     hints: ClassVar[Mapping[str, str]] = {"deflection": ALONE}
 
@@ -201,7 +203,7 @@ class DamperTable(CurveTable):
 
 @dataclass(frozen=True)
 class SurfaceTable(Section):
-    """Force of a damper as a function of velocity and deflection."""
+    """Section with a table of a damper's force against velocity and deflection."""
 
     hints: ClassVar[Mapping[str, str]] = dict.fromkeys(FRICTION, ALONE)
 
@@ -227,11 +229,13 @@ def read_curves(
 
     Args:
         section: the section `[curves]`.
-        parameters: parameters that a characteristic can replace, each with the variable on which the characteristic depends.
-        load: function that returns the static load of a spring [N] for the name of its parameter, or None for an unknown load.
+        parameters: parameters that a characteristic can replace, each with the variable (such as velocity) on which the
+            characteristic depends.
+        load: function that takes the name of a spring's parameter, and returns the static load of the spring [N]; None for an
+            unknown load.
 
     Raises:
-        InputError: an entry is not a characteristic, or not valid for a suspension.
+        InputError: an entry is not a characteristic, or the characteristic is not valid for a suspension.
     """
     curves = {}
     for name, entry in section.items():
@@ -249,13 +253,13 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
     """Returns a characteristic from its table, or from a list of tables and slopes whose forces are added.
 
     Args:
-        where: place of the entry, for messages.
+        where: place of the entry in the vehicle file, for messages.
         entry: the table, or the list of tables and slopes.
         over: argument of the characteristic.
         load: function that returns the static load of the spring [N], or None for an unknown load.
 
     Raises:
-        InputError: the entry is not a characteristic, or not valid for a suspension.
+        InputError: the entry is not a characteristic, or the characteristic is not valid for a suspension.
     """
     slopes, tables = [], []
     for one in entry if isinstance(entry, list) else [entry]:
@@ -270,7 +274,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
 
 
 def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: Callable[[], float | None]) -> ForceCurve:
-    """Returns one characteristic whose force is the sum of the forces that slopes and tables give."""
+    """Returns one characteristic whose force is the sum of the forces from all slopes and tables."""
     count = len(tables) + len(slopes)
     if not tables:
         raise InputError(f"has {count} numbers but no table, so it is not a curve; give the sum of the numbers in [parameters]")
@@ -311,8 +315,9 @@ def _part(x: Array, force: Array, over: Argument, preload: float, alone: bool) -
         x: deflections or velocities of the table [m or m/s], shape (n,).
         force: forces of the table [N], shape (n,).
         over: argument of the characteristic.
-        preload: load that the table carries in equilibrium [N]; 0 if the equilibrium is at deflection 0 of the table.
-        alone: False if the characteristic is a sum of several tables. This table may then belong to a stop that acts only on
+        preload: load that the spring of the table carries in equilibrium [N]; 0 if the equilibrium is at deflection 0 of the
+            table.
+        alone: False if the characteristic is a sum of several tables. In a sum, a table may belong to a stop that acts only on
             one side of equilibrium.
     """
     if preload:
@@ -340,7 +345,7 @@ def _deflection_under_load(x: Array, force: Array, load: float) -> float:
 def _knots(parts: Sequence[Array]) -> Array:
     """Returns the points of several characteristics in ascending order, without duplicates due to rounding.
 
-    The point at 0 always remains."""
+    The point at 0 is never removed."""
     x = np.unique(np.concatenate(parts))
     close = 2 * CLOSEST * (x[-1] - x[0])
     x = x[(np.abs(x) > close) | (x == 0)]
@@ -361,9 +366,11 @@ def _check_both_sides(x: Array, over: Argument) -> None:
 
 
 def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, float]:
-    """Returns points that include the equilibrium, their forces relative to equilibrium, and the force in equilibrium.
+    """Returns points that include the equilibrium, the force at each point minus the force in equilibrium, and the force in
+    equilibrium.
 
-    For a spring, the force in equilibrium is the weight that it carries. For a damper, it must be 0.
+    For a spring, the force in equilibrium is the weight that the spring carries. For a damper, the force in equilibrium must be
+    0.
     """
     x = np.where(np.abs(x) < CLOSEST * (x[-1] - x[0]), 0.0, x)
     at_rest, largest = float(np.interp(0.0, x, force)), float(np.abs(force).max())
@@ -386,11 +393,11 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, fl
 def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Array, str]:
     """Approximates a characteristic by as few straight segments as possible.
 
-    At 0, the approximation has the same slopes as the points.
+    The slopes of the approximation next to 0 are the slopes that the points have there.
 
     Args:
-        x: values of the argument, ascending, shape (n,).
-        force: force at each value [N], shape (n,).
+        x: velocity or deflection of each point, ascending, shape (n,).
+        force: force at each point [N], shape (n,).
         fit_error: largest allowed error as a share of the largest force; None for the default.
 
     Returns:
@@ -440,7 +447,7 @@ def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
 
 
 def _surface(where: str, entry: Mapping[str, Any]) -> ForceSurface:
-    """Returns the force of a damper as a function of velocity and deflection from the table in the section."""
+    """Returns the force of a damper as a function of velocity and deflection, from the table in the section."""
     given = read(where, SurfaceTable, entry)
     v, d, table = np.array(given.velocity), np.array(given.deflection), np.array(given.force)
     with error_in(f"{where}:"):
@@ -457,7 +464,9 @@ def _surface(where: str, entry: Mapping[str, Any]) -> ForceSurface:
 
 
 def _with_friction(curve: ForceCurve, friction: float, creep: float) -> ForceCurve:
-    """Returns the characteristic with an added friction F tanh(v / v0), which does not change the slope of linear analysis."""
+    """Returns the characteristic with an added friction F tanh(v / v0), which does not change the slope that linear analysis
+    uses.
+    """
     v, force = friction_points(friction, creep)
     x = np.unique(np.concatenate([curve.x, v]))
     straight = np.interp(np.clip(x, v[0], v[-1]), v, force)

@@ -1,13 +1,14 @@
 """Mean characteristic of a measured hysteresis loop: the points of a test that moves a damper, spring or stop back and forth.
 
-In such a test, the force also depends on the direction of motion. Each point belongs to the branch on which the argument rises
-or to the branch on which it falls. Each branch is averaged in bins. The characteristic is the mean of both branches, and the
-hysteresis is half of their difference. Because of noise, the mean force may decrease in some ranges of the argument. The mean
-is then replaced by the non-decreasing function that is closest in the least-squares sense (isotonic regression).
+The measured force also depends on the direction of motion. Each point belongs to one of two branches: the argument rises on one
+branch, and falls on the other branch. The force of each branch is averaged in bins of the argument. The characteristic is the
+mean of both branches, and the hysteresis is half of their difference. Because of noise, the mean force may decrease in some
+ranges of the argument. A mean force that decreases is replaced by the closest non-decreasing function in the least-squares
+sense (isotonic regression).
 
 If a damper has play or friction, its slope at velocity 0 differs from the coefficient of a linear damper that dissipates the
-same energy in the test. For samples at a constant rate, this coefficient is the sum of F v divided by the sum of v^2, where F
-is the force and v the velocity. The note of the characteristic contains both the slope and the coefficient.
+same energy in the test. For samples at a constant rate, the coefficient is the sum of F v divided by the sum of v^2, with force
+F and velocity v. The note of the characteristic contains the slope at 0 and the coefficient of the linear damper.
 """
 
 import numpy as np
@@ -28,14 +29,15 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
     """Returns the mean characteristic of a hysteresis loop, or None if the points do not form a loop.
 
     Args:
-        x: values of the argument in the order of the measurement, shape (n,).
-        force: force at each of these values [N], shape (n,).
+        x: velocity, deflection or compression at each point, in the order of the measurement, shape (n,).
+        force: force at each value of the argument [N], shape (n,).
         unit: unit of the argument, for the returned phrase.
         at_rest: True to subtract the mean force at argument 0, which is caused by the gas in a damper.
 
     Returns:
-        Argument (ascending) and force of the mean characteristic, shapes (k,), and a phrase for the note. The phrase gives the
-        largest hysteresis, the subtracted force and, for a damper, the coefficient that dissipates the same energy.
+        Argument (ascending) and force of the mean characteristic, shapes (k,), and a phrase for the characteristic's note. The
+        phrase gives the largest hysteresis, the subtracted force and, for a damper, the coefficient of a linear damper that
+        dissipates the same energy.
     """
     from scipy.optimize import isotonic_regression
     from scipy.signal import find_peaks
@@ -64,8 +66,8 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
 
 
 def slope_words(curve: ForceCurve) -> str:
-    """Describes the slope at 0 of the mean of a hysteresis loop, and the range of arguments from which it is computed; empty
-    without a loop.
+    """Describes the slope at 0 of a loop's mean characteristic, and the range of arguments from which the slope is computed;
+    empty without a loop.
     """
     if LOOP not in curve.note:
         return ""

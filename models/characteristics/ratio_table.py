@@ -1,7 +1,9 @@
-"""Motion ratio that changes with travel: a table r(d) over the deflection d at the wheel, with linear interpolation.
+"""Motion ratio that changes with travel: a table of the ratio r against the deflection d at the wheel, with linear
+interpolation.
 
-Beyond the points of the table, the ratio is constant. The element's own travel D, the change of the distance between its two
-ends, is the integral of r over d from equilibrium. `models.parts.ratio` computes the forces of an element with a motion ratio.
+Beyond the first and the last point of the table, the motion ratio is constant. The element's own travel D, the change of the
+distance between its two ends, is the integral of the ratio r over the deflection d, starting from equilibrium.
+`models.parts.ratio` computes the forces of an element with a motion ratio.
 """
 
 from collections.abc import Callable
@@ -33,9 +35,9 @@ class RatioTable:
 
     Attributes:
         x: deflections [m], ascending, with 0 between the first and the last, shape (n,).
-        ratio: motion ratio r at these deflections, shape (n,).
-        straight: True if springs and dampers with this ratio are linearised in equilibrium, as in linear analysis, and do not
-            use the table.
+        ratio: motion ratio r at each deflection, shape (n,).
+        straight: True if springs and dampers with this ratio are replaced by their linearisations in equilibrium, so that the
+            table has no effect.
     """
 
     x: Array
@@ -43,7 +45,7 @@ class RatioTable:
     straight: bool = False
 
     def __call__(self, deflection: Array) -> Array:
-        """Returns the ratio r at deflections [m], shape (...)."""
+        """Returns the motion ratio r at deflections d [m], shape (...)."""
         return np.interp(deflection, self.x, self.ratio)
 
     @cached_property
@@ -53,13 +55,13 @@ class RatioTable:
 
     @cached_property
     def relative_slope(self) -> float:
-        """Relative slope r'(0) / r(0) [1/m], where r'(0) is the mean of the slopes on both sides of 0."""
+        """Relative slope r'(0) / r(0) of the motion ratio [1/m], where r'(0) is the mean of the slopes on both sides of 0."""
         i = int(np.searchsorted(self.x, 0.0))
         x = np.insert(self.x, i, 0.0) if 0.0 not in self.x else self.x
         return slope_at_rest(x, self(x)) / self.at_rest
 
     def scaled(self, at_rest: float) -> "RatioTable":
-        """Returns the table multiplied by a factor, so that the ratio in equilibrium has a given value."""
+        """Returns the table multiplied by a factor, so that the motion ratio in equilibrium becomes `at_rest`."""
         return replace(self, ratio=self.ratio * (at_rest / self.at_rest))
 
     def shifted_to(self, rest: float) -> "RatioTable":
@@ -94,8 +96,8 @@ class RatioTable:
 
     @cached_property
     def _segments(self) -> Array:
-        """Segments within and beyond the table: the start of each segment, travel and ratio at its start, and the slope of the
-        ratio, shape (4, n + 1).
+        """Segments within and beyond the table: the deflection, travel and ratio at the start of each segment, and the slope of
+        the ratio, shape (4, n + 1).
         """
         x, r = self.x, self.ratio
         at = np.concatenate([[0.0], np.cumsum((r[1:] + r[:-1]) / 2 * np.diff(x))])
@@ -105,35 +107,37 @@ class RatioTable:
         return np.stack([x[first], at[first], r[first], slope])
 
     def ratio_and_travel(self, deflection: Array) -> tuple[Array, Array]:
-        """Returns the ratio r and the travel D [m] at deflections [m], shapes (...)."""
+        """Returns the motion ratio r and the element's travel D [m] at deflections d [m], shapes (...)."""
         start, travel, ratio, slope = self._segments[:, self.x.searchsorted(deflection)]
         s = deflection - start
         turned = slope * s
         return ratio + turned, travel + s * (ratio + turned / 2)
 
     def slope(self, deflection: Array) -> Array:
-        """Returns the slope r' of the ratio [1/m] at deflections [m], shape (...).
+        """Returns the slope r' of the motion ratio [1/m] at deflections d [m], shape (...).
 
         At a point of the table, the slope is that of the segment below the point.
         """
         return self._segments[3][self.x.searchsorted(deflection)]
 
     def travel(self, deflection: Array) -> Array:
-        """Returns the travel D [m] at deflections [m], shape (...)."""
+        """Returns the element's travel D [m] at deflections d [m], shape (...)."""
         return self.ratio_and_travel(deflection)[1]
 
     def deflection(self, travel: Array) -> Array:
-        """Returns the deflections [m] for travels [m] of the element, shape (...), by Newton's method; D rises with d."""
+        """Returns the deflections [m] for travels [m] of the element, shape (...), by Newton's method. The travel always
+        increases with the deflection.
+        """
         d = travel / self.at_rest
         for _ in range(TRIALS):
             d = d - (self.travel(d) - travel) / self(d)
         return d
 
     def damper(self, curve: ForceCurve) -> ForceSurface:
-        """Returns the force of a damper at the wheel, over velocity and deflection.
+        """Returns the force of a damper at the wheel as a function of velocity and deflection.
 
-        The force of a position-dependent damper is computed at the deflections of its own table, at those of the ratio table,
-        and at `COLUMNS` more deflections. The force is interpolated linearly between all these deflections.
+        The force of a position-dependent damper is computed at the deflections of its own table and of the ratio table, and at
+        `COLUMNS` more deflections. The force is interpolated linearly between neighbouring deflections.
         """
         d, v, table = self.x, curve.x, np.repeat(curve.force[:, None], len(self.x), axis=1)
         if isinstance(curve, ForceSurface):
@@ -145,8 +149,8 @@ class RatioTable:
 
 
 def line(slope: float, low: float, high: float) -> ForceCurve:
-    """Returns a straight characteristic with points at 0 and at both ends of travel, so that `range` is its largest force in
-    this travel.
+    """Returns a straight characteristic with points at 0 and at both ends of travel, so that its attribute `range` is the
+    largest force within the travel.
     """
     x = np.array([low, 0.0, high])
     return ForceCurve(x, slope * x, slope, "a line")
@@ -164,7 +168,7 @@ class RatioSection(TableSection):
 
 
 def ratio_table(where: str, entry: Any, check: Callable[[float], object]) -> RatioTable:
-    """Returns a motion ratio from its table in a vehicle file. `check` raises an InputError for a ratio that is not allowed."""
+    """Returns a motion ratio whose table is in a vehicle file. `check` raises an InputError for a ratio that is not allowed."""
     x, ratio = read(where, RatioSection, entry).points
     with error_in(f"{where}:"):
         if not x[0] < 0 < x[-1]:

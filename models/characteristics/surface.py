@@ -7,7 +7,7 @@ The force in the direction of the suspension's deflection is
 
     F(v, d) = r(d) G(r(d) v, d),    G(u, d) = a + b u + (c + e u) d    in each cell of the table.
 
-Linear analysis uses the derivative with respect to velocity at v = 0 and d = 0.
+Linear analysis uses the derivative of the force with respect to velocity at v = 0 and d = 0.
 """
 
 from dataclasses import dataclass, field, replace
@@ -24,12 +24,13 @@ NODES, WIDTH = 400, 6.0
 
 @dataclass(frozen=True, eq=False)
 class ForceSurface(ForceCurve):
-    """Force against velocity and deflection. Where a `ForceCurve` is expected, this object represents the force at deflection 0.
+    """A damper's force against velocity and deflection. Where a `ForceCurve` is expected, this object represents the force at
+    deflection 0.
 
     Attributes:
         velocities: velocities u of the table [m/s], ascending, with 0 between the first and the last, shape (n,).
         deflections: deflections of the table [m], ascending, shape (k,).
-        table: force G at these velocities (rows) and deflections (columns) [N], 0 at velocity 0, shape (n, k).
+        table: force G of the damper [N] for each velocity (row) and deflection (column), 0 at velocity 0, shape (n, k).
         ratio: motion ratio r at the deflections, above 0, shape (k,).
     """
 
@@ -95,7 +96,7 @@ class ForceSurface(ForceCurve):
 
     @cached_property
     def cells(self) -> Array:
-        """Coefficients a, b, c and e of every cell, including the cells beyond the table, shape (4, n + 1, k + 1)."""
+        """Coefficients a, b, c and e of the force in every cell, also in the cells beyond the table, shape (4, n + 1, k + 1)."""
         u, d, slope = self.velocities, self.deflections, np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None]
         slope = np.vstack([slope[:1], slope, slope[-1:]])
         first = np.concatenate([[0], np.arange(len(u))])  # each row of cells is linear about the point with this index
@@ -112,13 +113,13 @@ class ForceSurface(ForceCurve):
 
 
 def _lines(d: Array, values: Array) -> tuple[Array, Array]:
-    """Returns the constants and slopes of the straight lines that join the values at the arguments d, shapes (..., k + 1).
+    """Returns the constants and slopes of straight lines that join the values at the deflections d, shapes (..., k + 1).
 
-    Before the first and after the last argument, the lines are horizontal.
+    Before the first and after the last deflection, the lines are horizontal.
 
     Args:
         d: arguments, ascending, shape (k,).
-        values: values at the arguments, shape (..., k).
+        values: values at the deflections, shape (..., k).
     """
     flat = np.zeros_like(values[..., :1])
     slope = np.concatenate([flat, np.diff(values) / np.diff(d), flat], axis=-1)
@@ -127,7 +128,9 @@ def _lines(d: Array, values: Array) -> tuple[Array, Array]:
 
 
 def surface_of(velocities: Array, deflections: Array, table: Array, words: str, ratio: Array | None = None) -> ForceSurface:
-    """Returns the `ForceSurface` of a table, and computes its section at deflection 0. Without `ratio`, r is 1."""
+    """Returns the `ForceSurface` of a table, and computes the characteristic at deflection 0. If `ratio` is None, the motion
+    ratio is 1.
+    """
     r = np.ones(len(deflections)) if ratio is None else ratio
     at_rest = float(np.interp(0.0, deflections, r))
     x = velocities / at_rest

@@ -1,4 +1,4 @@
-"""CSV files of a damper's force against velocity and deflection, in two forms.
+"""CSV files with a table of a damper's force against velocity and deflection, in one of two forms: a sheet or a list.
 
 A sheet has deflections in its first row and velocities in its first column. The first cell of a sheet contains the quantities
 and units: `velocity [mm/s] / deflection [mm] / force [N]`. A list has a column for each quantity, and a row for each pair of
@@ -28,14 +28,14 @@ PAIRS_PER_ROW = 4
 def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     """Returns the table of a CSV file, sorted and in SI units. Velocities and deflections are positive in extension.
 
-    Returns None for other files, such as a measured loop.
+    Returns None for a file in neither of the two forms, such as a measured loop.
 
     Args:
         text: content of the file.
         give: description of the content that the file must have, for messages.
 
     Raises:
-        InputError: a sheet has no units, or a list does not contain each pair exactly once.
+        InputError: a sheet has no units, or a list does not contain each pair of velocity and deflection exactly once.
     """
     table = find_table(text, give)
     corner, across = _first_row(table)
@@ -77,7 +77,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
 
 
 def _first_row(table: NumberTable) -> tuple[str, Array | None]:
-    """Returns the first cell of a sheet, and the numbers in the rest of its first row; None for other files."""
+    """Returns the first cell of a sheet, and the numbers in the rest of the first row; None for a file that is not a sheet."""
     above = [line for line in table.lines[: table.first] if line.strip()]
     row = above[-1].rsplit(table.separator.strip(" ") or None, table.count - 1) if above else []
     cells = [cell.strip(' "') for cell in row]

@@ -1,1 +1,3 @@
-"""Code that all packages use and that contains no vehicles: arrays, errors, options, files, units, interrupts and threads."""
+"""Code that all packages use and that does not refer to vehicles: arrays, errors, options, files, units, interrupts and
+threads.
+"""

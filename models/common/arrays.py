@@ -1,6 +1,7 @@
-"""The array type that all signatures use, a check for matrices from users, and linear recursions.
+"""The type of all arrays in function signatures, a check of matrices from users, and the solution of linear recursions.
 
-Docstrings give shapes and units. Entries are float64 unless a docstring describes them as complex.
+Docstrings give the shape and unit of each array. Entries of an array are float64 unless a docstring describes the array as
+complex.
 """
 
 import itertools
@@ -25,10 +26,10 @@ def is_masked(value: object) -> bool:
 
 
 def check_unmasked(name: str, value: object) -> None:
-    """Refuses masked values, because calculations would lose the mask.
+    """Refuses an array with masked values, because calculations would ignore the mask.
 
     Raises:
-        InputError: a value is masked. The message gives the name of the array.
+        InputError: a value of the array is masked. The message gives the name of the array.
     """
     if is_masked(value):
         raise InputError(f"{name} has masked values; fill them, for example with filled(0.0), or remove them")
@@ -38,17 +39,18 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
     """Returns a copy of a real matrix, and the magnitude of its largest entry.
 
     Args:
-        value: the matrix, or nested lists. Complex numbers are allowed if all imaginary parts are 0.
+        value: the matrix as an array or as nested lists. Complex numbers are allowed if all imaginary parts are 0.
         name: name of the argument, for messages.
-        largest: limit on the magnitude of an entry; infinity for no limit.
+        largest: largest allowed magnitude of an entry; infinity for no limit.
         expected: required shape as text, for messages; empty if any shape is allowed.
 
     Returns:
-        The matrix, and the magnitude of its largest entry. The magnitude is returned because callers need it, and because
-        computing it takes as long as the check.
+        The matrix, and the magnitude of its largest entry. The magnitude is returned because callers need it, and because a
+        second computation would take as long as the check.
 
     Raises:
-        InputError: the value is not such a matrix. The message gives the name of the argument.
+        InputError: the value is not a real matrix of the expected shape, or an entry is larger than `largest`. The message
+            gives the name of the argument.
     """
     check_unmasked(name, value)
     try:
@@ -79,12 +81,12 @@ def recursion(Phi: Array, forcing: Array, start: Array | None = None) -> Array:
     """Solves the recursion x[k+1] = Phi x[k] + forcing[k] with x[0] = `start`; returns x, shape (..., T, n).
 
     A Python loop over all T samples would be slow. The samples are therefore divided into about sqrt(T) stretches of about
-    sqrt(T) samples. The responses of all stretches are computed together, each from x = 0. Then the effect of each stretch on
-    the following stretches is added.
+    sqrt(T) samples. The responses of all stretches are computed together, each from x = 0. Finally, the effect of each stretch
+    on the stretches after it is added.
 
     Args:
-        Phi: transition matrix of one sample, shape (n, n).
-        forcing: effect of the inputs in each sample, shape (..., T, n).
+        Phi: transition matrix from one sample to the next, shape (n, n).
+        forcing: effect of the inputs on the state in each sample, shape (..., T, n).
         start: initial state, shape (n,) or (..., n); None for 0.
     """
     *runs, samples, n = forcing.shape

@@ -1,9 +1,9 @@
 """Checks of values against their type annotations. A value that does not fit raises an `InputError` with the name of the
 argument.
 
-`models.common.lazy` wraps every public function in `check_arguments`. Calls within the packages are not checked. Dataclasses
-derive from `CheckedFields`, or call `check_fields` in `__post_init__`. An annotation in quotes allows any value, because only
-type checkers resolve it.
+`models.common.lazy` wraps every public function in `check_arguments`. Arguments of calls from inside the packages are not
+checked. Dataclasses derive from `CheckedFields`, or call `check_fields` in `__post_init__`. An annotation in quotes allows any
+value, because only type checkers resolve annotations in quotes.
 """
 
 import inspect
@@ -34,10 +34,11 @@ class Must:
     """Additional condition of an annotation, as in `Annotated[float, Must("a number above 0", lambda value: value > 0)]`.
 
     Attributes:
-        words: description of the allowed values. If the text begins with a comma or space, messages append it to the
-            description of the type.
-        holds: function that returns True for an allowed value; the value has the annotated type.
-        unit: unit of a number; empty for other values. A text with another unit is converted: "60 mm" is 0.06 in m.
+        words: description of the allowed values. If `words` begins with a comma or space, messages append it to the description
+            of the type.
+        holds: function that takes a value of the annotated type, and returns True if the value is allowed.
+        unit: unit of a number; empty for other values. A text with a number and a different unit is converted: if the unit is
+            m, "60 mm" becomes 0.06.
     """
 
     words: str
@@ -75,7 +76,7 @@ WORDS: Mapping[Any, str] = {
 
 
 def check(name: str, value: Any, annotation: Any) -> Any:
-    """Returns a value if it fits its annotation. A list becomes the annotated array or tuple.
+    """Returns a value if it fits its annotation. A list is converted to the type of the annotation, an array or a tuple.
 
     If the annotation has a unit, a text is also allowed: `height="60 mm"` is 0.06.
 
@@ -85,7 +86,7 @@ def check(name: str, value: Any, annotation: Any) -> Any:
         annotation: type annotation that the value must fit.
 
     Raises:
-        InputError: the value does not fit, or has an unknown unit or a unit of another dimension.
+        InputError: the value does not fit the annotation, or has an unknown unit or a unit of the wrong dimension.
     """
     if _obviously(value, annotation):
         return value
@@ -99,10 +100,11 @@ def check(name: str, value: Any, annotation: Any) -> Any:
 
 
 def check_fields(value: Any, prefix: str = "") -> None:
-    """Checks the fields of a dataclass, in its `__post_init__`. Lists become the annotated arrays and tuples.
+    """Checks the fields of a dataclass; the method `__post_init__` of the dataclass calls this function. A list in a field is
+    converted to the type of the annotation, an array or a tuple.
 
     Args:
-        value: the object of the dataclass.
+        value: the instance of the dataclass.
         prefix: text in front of the name of a field, for messages.
 
     Raises:
@@ -116,22 +118,24 @@ def check_fields(value: Any, prefix: str = "") -> None:
 
 
 class CheckedFields:
-    """Base class of dataclasses whose fields are checked by their annotations; see `check_fields`."""
+    """Base class of dataclasses whose fields are checked against their annotations; see `check_fields`."""
 
     def __post_init__(self) -> None:
         check_fields(self)
 
 
 def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> None:
-    """Raises an InputError if an array does not have the expected shape. `why` explains the expected shape."""
+    """Raises an InputError if an array does not have the expected shape. The argument `why` explains the expected shape in the
+    message.
+    """
     if value.shape != shape:
         raise InputError(f"{name} has shape {value.shape}; expected {shape}, {why}")
 
 
 def check_arguments(function: F) -> F:
-    """Returns a function that first checks its arguments by their annotations.
+    """Returns a function that checks its arguments against their annotations before it runs.
 
-    If the result is a vehicle, a run or a list of runs, its warnings are also issued, each only once.
+    If the function returns a vehicle, a run or a list of runs, the warnings of the result are issued, each only once.
     """
     signature, former = inspect.signature(function), getattr(function, "former_names", {})
 
@@ -153,7 +157,7 @@ def check_arguments(function: F) -> F:
 def accept_former_names(**names: str) -> Callable[[F], F]:
     """Returns a decorator for a public function or dataclass that also accepts former names of arguments.
 
-    The attributes of the dataclass can also be read by their former names.
+    Attributes of the dataclass can also be read by former names.
 
     Args:
         names: the present name for each former name.
@@ -208,7 +212,7 @@ def is_finite(value: Any) -> bool:
 
 
 def plain(value: Any) -> Any:
-    """Returns a NumPy scalar, or an array without dimensions, as a Python number; any other value unchanged."""
+    """Returns a NumPy scalar or an array without dimensions as a Python number, and any other value unchanged."""
     scalar = isinstance(value, np.generic) or (isinstance(value, np.ndarray) and not value.ndim)
     return value.item() if scalar and not is_masked(value) else value
 
@@ -216,8 +220,9 @@ def plain(value: Any) -> Any:
 class _UnfitError(Exception):
     """Raised for a value that does not fit its annotation.
 
-    The first two arguments are the place of the wrong part in the value, such as "[0]", and the wrong part itself. The other
-    arguments are the annotation that the part does not fit, and a message. An empty message is replaced by the default message.
+    The first two arguments of the exception are the place of the wrong part in the value, such as "[0]", and the wrong part
+    itself. The last two arguments of the exception are the annotation that the wrong part does not fit, and a message. If the
+    message is empty, the default message is used.
     """
 
 
@@ -273,9 +278,9 @@ def _obviously(value: Any, annotation: Any) -> bool:
 
 
 def _simple(value: Any, wanted: type) -> tuple[Any, bool]:
-    """Returns a value, converted if necessary, and True if it has the requested type.
+    """Returns a value, converted if necessary, and a flag that is True if the value has the requested type.
 
-    Arrays and paths are converted from other types.
+    Other types are converted to arrays and paths if the annotation requests an array or a path.
     """
     if wanted is Array:
         try:

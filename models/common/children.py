@@ -1,11 +1,11 @@
 """Child processes in Python that answer messages one after another.
 
-Every wait for an answer has a time limit, and the end of a child raises an exception. Children can therefore execute code that
-hangs or crashes.
+Every wait for an answer has a time limit, and if a child ends, the wait for its answer raises an exception. A child can
+therefore execute code that hangs or crashes.
 
 Unlike children of `multiprocessing`, these children do not import the user's script again, so scripts do not need `if __name__
-== "__main__"`. A child has an empty stdin, and its prints go to stderr. A child ignores Ctrl-C, and ends when its parent ends,
-even in the middle of a call.
+== "__main__"`. The standard input of a child is empty, and everything that a child prints goes to stderr. A child ignores
+Ctrl-C, and ends when its parent ends, even in the middle of a call.
 """
 
 import os
@@ -34,15 +34,15 @@ class EndedError(Exception):
 
 
 class Child:
-    """Handle of a child process in its parent. The process ends when this object is deleted."""
+    """Handle of a child process in its parent. The child process ends when this handle is deleted."""
 
     def __init__(self, answers: Answers) -> None:
         """Starts the process.
 
         Args:
             answers: generator function that runs in the child. The function receives an iterator of messages and yields an
-                answer for each message. If the function yields or raises an exception, `receive` raises this exception. If the
-                function raises the exception instead of yielding it, the child also ends.
+                answer for each message. If the function yields or raises an exception, `receive` raises the same exception in
+                the parent. If the function raises an exception instead of yielding an exception, the child also ends.
         """
         code = f"import sys; sys.path[:] = {sys.path!a}; from models.common.children import serve; serve()"
         process = subprocess.Popen(
@@ -60,7 +60,7 @@ class Child:
 
     @property
     def ended(self) -> bool:
-        """True if the process has ended, by itself or because its parent ended it."""
+        """True if the child process has ended, by itself or because its parent ended it."""
         return self._process.poll() is not None
 
     def ask(self, message: Any, longest: float | None = None) -> Any:
@@ -85,7 +85,7 @@ class Child:
         Raises:
             TimeoutError: the time limit has passed; the child is then terminated.
             EndedError: the child has ended.
-            Exception: the answer is an exception.
+            Exception: the child has answered with an exception, which is raised here.
         """
         try:
             # The remaining time may be negative, so it is limited to 0
@@ -109,7 +109,7 @@ _running_processes: "weakref.WeakSet[subprocess.Popen[bytes]]" = weakref.WeakSet
 
 
 def kill_children() -> None:
-    """Terminates all children immediately, so that nothing waits for their answers."""
+    """Terminates all child processes immediately, so that no code waits for an answer of a child."""
     for process in list(_running_processes):
         process.kill()
 
@@ -135,7 +135,9 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
 
 def serve() -> None:
-    """Answers messages in the child process. The first message is the function that answers all later messages."""
+    """Answers the messages of the parent; this function runs in the child process. The first message is the function that
+    answers all later messages.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     with open(os.devnull, "rb") as empty, suppress(OSError):  # an OSError is ignored, because stderr may be closed

@@ -1,7 +1,7 @@
 """Start and end of a command. Every command that fails prints one line to stderr and returns an exit code.
 
-The module of a command calls `run` before it imports anything else. Ctrl-C during the imports therefore also ends the command
-with a one-line message.
+The module of a command calls `run` before any other import. If a user presses Ctrl-C during the imports, the command therefore
+also ends with a one-line message.
 """
 
 import os
@@ -26,7 +26,7 @@ def run(command: str, *arguments: str) -> "NoReturn":
 
     If an exception ends the command, the exit code is 2 for invalid input, 1 for a failed design, 130 for Ctrl-C, otherwise 1.
     After Ctrl-C, every exception counts as an interrupt, because compiled code can turn the interrupt into another type of
-    error. With `--traceback`, the exception is raised again, which shows its origin.
+    error. With `--traceback`, the exception is raised again, so that Python prints where it was raised.
 
     Args:
         command: full name of the module, such as `sim.bump`.
@@ -73,7 +73,7 @@ def run(command: str, *arguments: str) -> "NoReturn":
 def _unraisable(unraisable: "sys.UnraisableHookArgs") -> None:
     """Interrupts the command again after a Ctrl-C that arrived while a finaliser ran, for example during garbage collection.
 
-    Without this function, Python would only print the interrupt.
+    Without this function, Python would print the interrupt, but would not end the command.
     """
     if not isinstance(unraisable.exc_value, KeyboardInterrupt):
         return sys.__unraisablehook__(unraisable)

@@ -1,4 +1,4 @@
-"""Common parts of all commands: option parsing, one-line errors, and versions of packages."""
+"""Functions that all commands use: option parsing, one-line error messages, and versions of packages."""
 
 import argparse
 import functools
@@ -41,7 +41,7 @@ ALL = "all"  # a user writes this word instead of a controller's name to select 
 
 
 class Parser(argparse.ArgumentParser):
-    """Command-line parser with one-line errors.
+    """Command-line parser with one-line error messages.
 
     The parser refuses options with an empty value, and repeated options unless they are declared as repeatable.
     """
@@ -70,7 +70,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(TRACEBACK, action="store_true", help="show the Python traceback of an error, for a bug report")
 
     def _called(self, text: str) -> str:
-        """Returns a text whose commands are written in the form in which the user called this command:
+        """Returns a text in which every command is written in the form in which the user called the present command:
 
         `roadproof bump` or `python -m sim.bump`.
         """
@@ -79,7 +79,7 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
         """Parses the arguments and returns the known options and the unknown arguments.
 
-        Refuses a value that does not belong to an option, for example a part of a name with spaces.
+        Refuses a value that does not belong to an option, for example the second word of a name that has spaces but no quotes.
         """
         options, others = super().parse_known_args(args, namespace)
         if args and others and not others[0].startswith("-"):
@@ -87,7 +87,7 @@ class Parser(argparse.ArgumentParser):
         return options, others
 
     def _advice(self, args: Sequence[str]) -> str:
-        """Returns advice about the last argument that the parser does not expect."""
+        """Returns advice for the error message about the last unexpected argument."""
         first = max((i for i, one in enumerate(args) if one.startswith("-")), default=-1)
         option, _, value = args[first].partition("=") if first >= 0 else ("", "", "")
         values, action = [*filter(None, [value]), *args[first + 1 :]], self._option_string_actions.get(option)
@@ -106,7 +106,9 @@ class Parser(argparse.ArgumentParser):
         return quoted
 
     def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
-        """Returns the options, including the names of the given options (`given`) and the command line (`command_line`)."""
+        """Returns the options, including the names of the options that the user gave (`given`) and the command line
+        (`command_line`).
+        """
         args = sys.argv[1:] if args is None else args
         for argument in args:
             if re.fullmatch(r"--[\w-]+=--", argument):  # argparse would take "--" as the end of the options
@@ -126,8 +128,8 @@ class Parser(argparse.ArgumentParser):
 
         Args:
             default: description of the controllers that are used without `--controller`.
-            several: purpose of giving `--vehicle` several times, for the help text. The values are then in the attribute
-                `vehicles`. Empty for commands with one vehicle.
+            several: purpose of giving `--vehicle` several times, for the help text. If this text is not empty, the values of
+                `--vehicle` are in the attribute `vehicles`. The text is empty for commands with one vehicle.
         """
         self.add_argument(
             "--controller",
@@ -161,7 +163,7 @@ class Parser(argparse.ArgumentParser):
     def add_number(self, option: str, default: float | None, unit: str, meaning: str, unset: str = "") -> None:
         """Adds an option for a finite number, or a number with its unit, such as 90km/h.
 
-        `unset` describes what the default None means.
+        The argument `unset` describes the meaning of the default None.
         """
         usual = unset if default is None else f"{default:g}"
         said = f"{meaning} [{unit}] (default: {usual})"
@@ -176,7 +178,8 @@ class Parser(argparse.ArgumentParser):
     ) -> None:
         """Adds an option for an integer from `low` to `high`, or for several integers if `many` is True.
 
-        `unset` is the value if the option is not given; `default` describes this value in the help text.
+        The argument `unset` is the value for a command line without the option; `default` describes the value `unset` in the
+        help text.
         """
 
         def count(text: str) -> int:
@@ -192,12 +195,12 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(option, type=count, nargs=nargs, default=unset, metavar="N", help=f"{meaning} (default: {default})")
 
     def add_printed(self, what: str, brief: str = "") -> None:
-        """Adds `--verbose`, `--json` and, if it has a help text, `--brief`.
+        """Adds the options `--verbose` and `--json`, and also `--brief` if its help text is not empty.
 
-        A command line may contain only one of these three options.
+        A command line may contain only one of `--verbose`, `--json` and `--brief`.
 
         Args:
-            what: details that `--verbose` prints.
+            what: description of the details that `--verbose` prints.
             brief: help text of `--brief`; empty for a command without this option.
         """
         printed = self.add_mutually_exclusive_group()
@@ -209,7 +212,7 @@ class Parser(argparse.ArgumentParser):
     def add_exported(
         self, what: str = "run the controller as compiled code from this folder, which roadproof synth --export wrote"
     ) -> None:
-        """Adds the option `--as`, which names the folder of exported code; `what` is its help text."""
+        """Adds the option `--as`, which names the folder of exported code; `what` is the help text of the option."""
         self.add_argument("--as", dest="exported", type=Path, metavar="DIR", help=what)
 
     def add_loads(self, what: str, syntax: str) -> None:
@@ -222,20 +225,20 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(option, action=_GoneOption, help=argparse.SUPPRESS, instead=instead)
 
     def add_logs(self, what: str) -> None:
-        """Adds `--logs`, for a command that records logs only if this option is given."""
+        """Adds the option `--logs`, for a command that records logs only if the user gives this option."""
         self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: no recording)")
 
 
 def chosen_controllers(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[str] = ()) -> list[str]:
-    """Returns the controllers that `--controller` selects, in the given order.
+    """Returns the controllers that `--controller` selects, in the order of the command line.
 
     Args:
         names: names of all controllers of the vehicle.
         given: values of `--controller`.
-        usual: the controllers that are selected without `--controller`.
+        usual: names of the controllers that are selected without `--controller`.
 
     Raises:
-        InputError: no name is given, a name is unknown or given twice, or `all` is given together with a name.
+        InputError: no controller is named, a name is unknown or given twice, or `all` is given together with a name.
     """
     for name in given or ():
         if name not in (ALL, *names):
@@ -256,14 +259,14 @@ def chosen_controllers(names: Sequence[str], given: Sequence[str] | None, usual:
 def chosen_of(
     vehicles: Mapping[str, Sequence[str]], given: Sequence[str] | None, usual: Sequence[str] = ()
 ) -> dict[str, list[str]]:
-    """Returns the controllers of several vehicles that `--controller` selects.
+    """Returns the controllers that `--controller` selects for several vehicles.
 
     For each vehicle, the result contains the selected controllers that this vehicle has.
 
     Args:
         vehicles: names of all controllers of each vehicle, by a key that identifies the vehicle.
-        given: names on the command line, as in `chosen_controllers`.
-        usual: default names, as in `chosen_controllers`.
+        given: names of controllers on the command line, as in `chosen_controllers`.
+        usual: names of the default controllers, as in `chosen_controllers`.
 
     Raises:
         InputError: `chosen_controllers` raises this error, or a vehicle has none of the selected controllers.
@@ -283,12 +286,12 @@ def one_chosen(names: Sequence[str], given: str | None, usual: str = "") -> str:
     """Returns the controller that a single `--controller` selects.
 
     Args:
-        names: names of all allowed controllers.
+        names: names of all controllers that the user may choose.
         given: value of `--controller`.
         usual: controller that is used if `--controller` is not given; empty if the option is required.
 
     Raises:
-        InputError: no name is given, or the name is unknown.
+        InputError: no controller is named, or the name is unknown.
     """
     allowed = f"give --controller with one of: {', '.join(names)}"
     if given is None and usual:
@@ -313,7 +316,7 @@ class _Once(argparse.Action):
 
 
 class _Vehicles(argparse.Action):
-    """Option that may be given several times. The values on the command line replace the default."""
+    """Option that may be given several times. If the option is on the command line, its values replace the default."""
 
     def __call__(self, parser, namespace, values, option_string=None) -> None:
         before = getattr(namespace, self.dest) if self.dest in namespace.given else ()
@@ -353,7 +356,7 @@ _remarks = list[str]()  # warnings about vehicles and roads that the running com
 
 
 def print_remarks(given: Any) -> Any:
-    """Returns a vehicle or road after printing its warnings to stderr. A command prints each warning only once."""
+    """Returns a vehicle or road after printing its warnings to stderr. Each warning is printed only once per command."""
     for doubt in given.warnings:
         if doubt not in _remarks:
             _remarks.append(doubt)
@@ -364,7 +367,7 @@ def print_remarks(given: Any) -> Any:
 def print_json(result: Mapping[str, Any]) -> None:
     """Prints the result of a command as JSON.
 
-    If there are warnings about vehicles or roads, the key `remarks` contains them.
+    Warnings about vehicles or roads are in the key `remarks`.
     """
     print(json.dumps({**result, **({"remarks": _remarks} if _remarks else {})}, allow_nan=False))
 
@@ -372,7 +375,7 @@ def print_json(result: Mapping[str, Any]) -> None:
 def _page(text: str) -> str:
     """Returns a text of `--help` with wrapped paragraphs.
 
-    Examples are indented. A long example is broken after a backslash.
+    Examples are indented. A long example is continued on the next line after a backslash.
     """
     text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # the lines of each paragraph are joined to one line
     lines = [_example(line) if line.startswith("  ") else wrap_text(line, hang=0) for line in text.splitlines()]

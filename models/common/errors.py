@@ -1,4 +1,4 @@
-"""The error for invalid input. If this error is raised, a command prints a one-line message and returns the exit code 2."""
+"""The error for invalid input. If an InputError is raised, a command prints a one-line message and returns the exit code 2."""
 
 import difflib
 import reprlib
@@ -15,10 +15,11 @@ _shortly.maxlevel, _shortly.maxstring, _shortly.maxlong, _shortly.maxother = 3, 
 
 
 class InputError(ValueError):
-    """Invalid input. The message is one line (`one_line`) that gives the wrong value, the allowed values and a correction.
+    """Invalid input. The message of an InputError is one line (`one_line`) with the wrong value, the allowed values and a
+    correction.
 
     Attributes:
-        exit_code: exit code of a command that ends with this error.
+        exit_code: exit code of a command that ends because of an InputError.
     """
 
     exit_code = 2
@@ -29,7 +30,7 @@ class InputError(ValueError):
 
 @contextmanager
 def error_in(where: str) -> Iterator[None]:
-    """If the block raises an InputError, puts a place, such as the name of a file, in front of its message."""
+    """Puts a place, such as the name of a file, in front of the message of an InputError that the block raises."""
     try:
         yield
     except InputError as error:
@@ -48,7 +49,7 @@ def short_repr(value: Any) -> str:
 
 
 def middle_cut(text: str, most: int) -> str:
-    """Returns a text unchanged, or its beginning and end if it has more than `most` characters."""
+    """Returns a text unchanged; a text with more than `most` characters is reduced to its beginning and end."""
     if len(text) <= most:
         return text
     kept = most - len(" ... ")
@@ -61,7 +62,7 @@ def list_names(names) -> str:
 
 
 def number_range(smallest: float, largest: float, unit: str = "") -> str:
-    """Returns the allowed range of a number with its unit, for a message; the units "1", "-" and "" denote pure numbers."""
+    """Returns the allowed range of a number with the unit, for a message; the units "1", "-" and "" denote pure numbers."""
     return f"a number from {smallest:g} to {largest:g} {'' if unit in ('1', '-') else unit}".rstrip()
 
 
@@ -78,5 +79,5 @@ def alike(name: object, names: Iterable[str], most: int = 12) -> str:
 
 
 def first_few(names: Sequence[str], most: int = 3) -> str:
-    """Returns the first few of many names, and how many other names there are."""
+    """Returns a text with the first few of many names, and with the number of the remaining names."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

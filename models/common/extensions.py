@@ -13,13 +13,14 @@ from models.common.lazy import resolve_name
 
 
 class Registry(dict[str, str]):
-    """Extensions of one type, by their names. The value of each name is "module:attribute" or the name of a module.
+    """Registry of the extensions of one type, by the name of the extension. The value that belongs to a name is
+    "module:attribute" or the name of a module.
 
-    Columns, sections and messages appear in the order of the names.
+    The columns, sections and messages of extensions appear in the order of the names in the registry.
 
     Attributes:
         sort: noun for an extension of this type, for messages.
-        attributes: names of the attributes that each of these extensions must have.
+        attributes: names of the attributes that each extension of this type must have.
         texts: additional texts for help pages, by the name of the extension.
     """
 
@@ -32,8 +33,8 @@ class Registry(dict[str, str]):
         """Imports and returns the extension with a given name.
 
         Raises:
-            InputError: no extension of this type has this name.
-            TypeError: an attribute is missing.
+            InputError: no extension has the given name.
+            TypeError: the extension lacks one of the required attributes.
         """
         if name not in self:
             raise InputError(f"{self.sort} {name!r} is not known; give one of {alike(name, self)}")
@@ -44,11 +45,11 @@ class Registry(dict[str, str]):
         return extension
 
     def load_if_known(self, name: str) -> Any:
-        """Returns the extension with a given name, or None if no row has this name."""
+        """Returns the extension with a given name; None if the registry does not contain the name."""
         return self.load(name) if name in self else None
 
     def load_all(self) -> dict[str, Any]:
-        """Returns all extensions by name, in the order of the rows."""
+        """Returns all extensions by name, in the order of the rows of the registry."""
         return {name: self.load(name) for name in self}
 
 

@@ -1,9 +1,9 @@
-"""Reading and writing of files, and of TOML.
+"""Reading and writing of files, including TOML files.
 
 A file is written under a temporary name and then renamed, so no program ever reads an incomplete file.
 
-If the path is a link, its target is replaced. The new file has the same permissions as the file that it replaces. A pipe, a
-device or standard output receives the content when it is complete.
+If the path of a file is a link, the target of the link is replaced. The new file has the same permissions as the file that it
+replaces. A pipe, a device or standard output receives the content of the file when the content is complete.
 """
 
 import hashlib
@@ -66,8 +66,8 @@ def whole_file(path: Path, what: str, instead: str = "give another path") -> Ite
 
     Args:
         path: the file, a link to it, or `/dev/stdout`.
-        what: purpose of the file, for the error message.
-        instead: advice for the message if the file cannot be written.
+        what: purpose of the file, such as a report, for the error message.
+        instead: advice that the error message gives if the file cannot be written.
 
     Raises:
         InputError: the file cannot be written.
@@ -104,7 +104,7 @@ def whole_file(path: Path, what: str, instead: str = "give another path") -> Ite
 
 @contextmanager
 def together() -> Iterator[None]:
-    """At the end of the block, renames all files that `whole_file` wrote in it; renames none if the block fails.
+    """At the end of the block, renames all files that `whole_file` wrote in the block; if the block fails, renames no file.
 
     Raises:
         InputError: the files cannot be renamed.
@@ -168,7 +168,7 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
 
 @contextmanager
 def _system_errors(path: Path, what: str, instead: str) -> Iterator[None]:
-    """Turns an error of the operating system into an InputError, unless the error is that the reader of a pipe has ended."""
+    """Turns an error of the operating system into an InputError, except for the error that the reader of a pipe has ended."""
     try:
         yield
     except BrokenPipeError:
@@ -208,8 +208,8 @@ def _try_folder(folder: Path, path: Path, what: str, instead: str) -> None:
 
 
 def identity(path: Path) -> tuple[int, int] | str:
-    """Returns a value that is equal for all paths of the same file or folder. Such paths are links, hard links, and names that
-    differ only in upper and lower case.
+    """Returns a value that is equal for all paths of the same file or folder. Different paths of the same file are links, hard
+    links, or names that differ only in upper and lower case.
     """
     try:
         status = path.stat()
@@ -220,16 +220,16 @@ def identity(path: Path) -> tuple[int, int] | str:
 
 @contextmanager
 def reading(path: Path, purpose: str, give: str = "give another file") -> Iterator[None]:
-    """Turns any error that a library raises in this block into an InputError with path, purpose and the library's message.
+    """Turns any error that a library raises in the block into an InputError with path, purpose and the library's message.
 
     Args:
         path: the file that the block reads.
         purpose: purpose of the file, such as "road profile".
-        give: advice for the message: what to do instead.
+        give: advice for the error message on what the user can do instead.
 
     Raises:
-        InputError: the block failed. If the block raises an InputError, the message of this error follows the purpose and the
-            path.
+        InputError: the library has raised an error in the block. If the block raises an InputError, the purpose and the path of
+            the file are put in front of the message.
     """
     try:
         yield

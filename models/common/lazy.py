@@ -1,7 +1,7 @@
 """Lazy imports: public names of a package, and names in registries, are imported at their first use.
 
 Lazy imports keep `import sim` fast. A function that is called by its public name checks its arguments first
-(`models.common.checks`). The packages themselves do not use these public names.
+(`models.common.checks`). Code inside the packages does not use the public names.
 """
 
 import ast
@@ -24,11 +24,12 @@ def resolve_name(where: str) -> "Any":
 
 
 def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":
-    """Returns `__getattr__`, `__dir__` and `__all__` of a package with lazy imports.
+    """Returns `__getattr__`, `__dir__` and `__all__` for a package whose public names are imported lazily.
 
     Args:
         package: name of the package.
-        file: path of its `__init__.py`. The public names are the names that this file imports for type checkers.
+        file: path of its `__init__.py`. The public names of the package are the names that `__init__.py` imports for type
+            checkers.
     """
     tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     imports = [node for one in tree.body if isinstance(one, ast.If) for node in one.body if isinstance(node, ast.ImportFrom)]

@@ -1,8 +1,8 @@
 """Printed output: lines of at most 80 columns, formats of numbers, commands to paste into a shell, and progress.
 
-The width is fixed, so the output does not depend on the terminal. A longer sentence continues on the next line, indented. In a
-table, a name that is too long is on a separate line. Only paths and lines to copy may be longer than 80 columns, because they
-must not be broken.
+The width is fixed, so the output does not depend on the terminal. A sentence that does not fit on a line continues on the next
+line, indented. In a table, a name that is too long is on a separate line. Only paths, and lines that a user copies, may be
+longer than 80 columns, because these lines must not be broken.
 """
 
 import math
@@ -52,10 +52,10 @@ def as_name(name: str) -> str:
 
 
 def by_text(said: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Groups the names that have the same text.
+    """Groups names by the text that belongs to them.
 
     Args:
-        said: pairs of name and text.
+        said: pairs of a name and the text that belongs to the name.
 
     Returns:
         A mapping from each text to all names that have this text, in backticks and separated by commas.
@@ -72,7 +72,7 @@ def three_digits(value: float) -> str:
 
 
 def percent(share: float) -> str:
-    """Returns a share in percent as text. Shares up to 1e-9 count as rounding errors and become 0."""
+    """Returns a share (0 to 1) as text in percent. Shares up to 1e-9 count as rounding errors and become 0."""
     if share <= 1e-9:
         return "0 %"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
@@ -104,7 +104,7 @@ _overwritten, _printing = threading.Event(), threading.Lock()
 def show(message: str) -> None:
     """Prints a line to stderr that the next call overwrites; an empty text clears the line.
 
-    A line that stays for more than `LONG_STAGE` also shows the elapsed seconds.
+    A line that stays for longer than `LONG_STAGE` also shows the elapsed seconds.
     """
     global _overwritten
     if not sys.stderr or not sys.stderr.isatty():
@@ -139,16 +139,17 @@ class Stages:
         self._names, self._now = names, ""
 
     def __call__(self, text: str) -> None:
-        """Begins the stage with this name.
+        """Begins the stage that has the name in the argument.
 
-        Any other text is shown as progress of the current stage; an empty text clears the line of progress.
+        A text that is not the name of a stage is shown as progress of the current stage; an empty text clears the line of
+        progress.
         """
         if text in self._names:
             self._now, text = f"[{self._names.index(text) + 1}/{len(self._names)}] {text}", ""
         show(f"{self._now}: {text}" if text else self._now)
 
     def counted(self, name: str, total: int, what: str) -> Callable[[int], None]:
-        """Begins a stage, and returns a function that shows how many items out of `total` are done."""
+        """Begins a stage of the command, and returns a function that shows how many items out of `total` are done."""
         self(name)
         return lambda done: self(f"{done} of {total} {what}")
 
@@ -174,7 +175,7 @@ def say(lines: Iterable[str]) -> None:
 def fit_lines(lines: Iterable[str]) -> list[str]:
     """Returns lines of at most `WIDTH` columns.
 
-    A longer line is broken, and its continuation is indented by two more columns.
+    A line that is too long is broken, and the continuation is indented by two more columns.
     """
     return [part for line in lines for part in (wrap_text(line) if len(line) > WIDTH else [line])]
 
@@ -193,7 +194,7 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str], most: int = 
     Args:
         sentences: sentences in the order in which they are printed.
         others: lines that are printed together with the sentences.
-        most: largest number of lines.
+        most: largest number of lines that may be printed.
         source: beginning of the line about omitted sentences.
     """
     room, lines = most - len(fit_lines(others)), list[str]()
@@ -206,7 +207,7 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str], most: int = 
 
 
 def title_lines(title: str, source: str) -> list[str]:
-    """Returns a title and, on the next line, the path of the file to which the title refers."""
+    """Returns two lines: a title, and the path of the file to which the title refers."""
     return [title, Whole(f"{GAP}{source}")]
 
 
@@ -237,7 +238,7 @@ def table(rows: Iterable[Sequence[str] | str], indent: str = GAP, tight: bool = 
     Args:
         rows: rows with the same number of cells, whose first cell is a name. A row can also be a text that spans all columns.
         indent: prefix of every line.
-        tight: True to separate columns by a single space if more names then fit.
+        tight: True to separate columns by a single space if more names fit in their column as a result.
     """
     all_rows = list(rows)
     cells = [row for row in all_rows if not isinstance(row, str)]

@@ -1,7 +1,7 @@
-"""Columns of tables in users' files: names, units and signs.
+"""Names, units and signs of columns in the tables of users' files.
 
-Road profiles, drive files of rigs, characteristics of dampers and springs, and loads over time all use this table of
-quantities.
+The same table of quantities is used for road profiles, drive files of rigs, characteristics of dampers and springs, and loads
+against time.
 """
 
 import re
@@ -17,10 +17,10 @@ class Quantity:
     """Quantity in a column of a table.
 
     Attributes:
-        units: factor from each unit to SI units. The first unit is the SI unit. Other units of the same dimension are also
-            allowed.
-        positive: meaning of a positive number; empty if there is only one possible meaning.
-        words: other names of the quantity, in lower case.
+        units: factor from each unit to SI units. The first unit is the SI unit. Units of the same dimension that are not listed
+            are also allowed.
+        positive: direction in which a number is positive, such as "in extension"; empty if only one meaning is possible.
+        words: synonyms of the quantity's name, in lower case.
     """
 
     units: Mapping[str, float]
@@ -73,9 +73,9 @@ class Heading:
     """Heading of a column.
 
     Attributes:
-        text: whole text of the heading.
-        name: the text without its unit.
-        unit: usual name of the unit; if the unit is unknown, its text. Empty for a heading without a unit.
+        text: whole text of the heading, including the unit.
+        name: text of the heading without the unit.
+        unit: usual name of the unit; for an unknown unit, the text in the heading. Empty for a heading without a unit.
         column: number of the column, counted from 1.
     """
 
@@ -86,8 +86,8 @@ class Heading:
 
     @property
     def quantity(self) -> str:
-        """Key in `QUANTITIES` of the column's quantity; empty if a word is unknown, or if the heading names no quantity or
-        several.
+        """Key in `QUANTITIES` of the column's quantity; empty if a word is unknown, or if the heading does not name exactly one
+        quantity.
         """
         named = {NAMES.get(word, "unknown") for word in self.words} - {""}
         if len(named) == 2:
@@ -101,7 +101,9 @@ class Heading:
 
     @property
     def direction(self) -> int:
-        """Positive direction that the heading gives: 1 for extension, -1 for compression, 0 if it gives neither or both."""
+        """Positive direction that the heading gives: 1 for extension, -1 for compression, 0 if the heading gives neither or
+        both.
+        """
         return sum({DIRECTIONS[word] for word in self.words & DIRECTIONS.keys()})
 
     def scale(self, quantity: str, option: str = "", given: str = "", default: str = "") -> float:
@@ -109,8 +111,8 @@ class Heading:
 
         Args:
             quantity: quantity of the column, a key of `QUANTITIES`.
-            option: name of the setting that can give the unit; empty without such a setting.
-            given: the unit that the setting gives; empty if it gives no unit.
+            option: name of the setting that can give the unit; empty if no setting gives the unit.
+            given: the unit that the setting gives; empty if the setting gives no unit.
             default: the unit of a heading without a unit; empty if a unit is required.
 
         Raises:
@@ -172,6 +174,6 @@ def left_out_words(headings: Sequence[Heading], used: Collection[int]) -> list[s
 
 
 def _unit_of(written: str, units: Collection[str]) -> str:
-    """Returns the usual name of a unit in a heading."""
+    """Returns the usual name of a unit that a heading contains."""
     unit = unit_named(written)
     return "lbf" if unit == "lb" and "N" in units else unit

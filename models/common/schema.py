@@ -1,6 +1,6 @@
-"""Declarations of the sections of a file.
+"""Declarations of sections of TOML files: the allowed keys, their units, ranges and meanings.
 
-A section is a frozen dataclass; the annotation of each field gives unit, range and meaning.
+A section is a frozen dataclass; the annotation of each field gives the unit, range and meaning of a key.
 
     @dataclass(frozen=True)
     class Payload(Section):
@@ -37,12 +37,13 @@ PLACES = re.compile(HERE + r"((?:\.\w+)*)")
 class Key:
     """Annotation of a key.
 
-    The method `read` reads the value of the key. The attributes describe the key in the reference page and the JSON schema.
+    The method `read` converts and checks the value of the key. The attributes describe the key in the reference page and the
+    JSON schema.
 
     Attributes:
         unit: unit of the value; empty for a value without a unit.
         meaning: description of the key in one phrase.
-        schema: JSON schema of the value, if it is equal for all keys of the class.
+        schema: JSON schema of the value, if all keys of the class have the same schema.
     """
 
     unit: str = ""
@@ -58,20 +59,23 @@ class Key:
         """Returns the converted value of the key.
 
         Args:
-            value: value in the file.
-            context: facts about the vehicle (see `read`), and the values of the keys that are declared before this key.
+            value: value of the key in the file.
+            context: facts about the vehicle (see `read`), and the values of the keys that are declared before the key that is
+                read.
 
         Raises:
-            InputError: the value is not allowed. The message of this error contains `HERE` instead of section and key.
+            InputError: the value is not allowed. The message of the error contains the placeholder `HERE`, not the names of
+                section and key.
         """
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class SI(Key):
-    """A number with a unit and a range, written as 380 or "380 kg". `more` is the end of the message for an invalid value.
+    """Key whose value is a number with a unit and a range, written as 380 or "380 kg". `more` is the end of the message for an
+    invalid value.
 
-    Infinity is allowed if the range has no upper limit. Like `Must`, this annotation can also be a condition for
+    The number may be infinite if the range has no upper limit. Like `Must`, the annotation `SI` can also be a condition for
     `models.common.checks`.
     """
 
@@ -89,7 +93,7 @@ class SI(Key):
         """Returns a number in SI units. `what` is the name of the number in messages.
 
         Raises:
-            InputError: the value is not a number, is out of range, or has another unit.
+            InputError: the value is not a number, is out of range, or has a unit of the wrong dimension.
         """
         value = in_unit(value, self.unit, what)
         if not (is_finite(value) or (isinstance(value, float) and value == self.high)) or not self.low <= value <= self.high:
@@ -110,7 +114,7 @@ class SI(Key):
 
 @dataclass(frozen=True)
 class Flag(Key):
-    """True or false. `more` is the end of the message for an invalid value."""
+    """Key whose value is true or false. `more` is the end of the message for an invalid value."""
 
     schema: ClassVar[Mapping[str, Any]] = {"type": "boolean"}
     meaning: str = ""
@@ -125,7 +129,7 @@ class Flag(Key):
 
 @dataclass(frozen=True)
 class Integer(Key):
-    """An integer in a range. `more` is the end of the message for an invalid value."""
+    """Key whose value is an integer in a range. `more` is the end of the message for an invalid value."""
 
     meaning: str = ""
     low: int = 0
@@ -148,7 +152,7 @@ class Integer(Key):
 
 @dataclass(frozen=True)
 class Choice(Key):
-    """One of several texts. `more` is the end of the message for an invalid value."""
+    """Key whose value is one of several texts. `more` is the end of the message for an invalid value."""
 
     meaning: str = ""
     texts: tuple[str, ...] = ()
@@ -168,7 +172,7 @@ class Choice(Key):
 
 @dataclass(frozen=True)
 class Text(Key):
-    """A text. `more` is the end of the message for an invalid value."""
+    """Key whose value is a text. `more` is the end of the message for an invalid value."""
 
     schema: ClassVar[Mapping[str, Any]] = TEXT
     meaning: str = ""
@@ -183,7 +187,7 @@ class Text(Key):
 
 @dataclass(frozen=True)
 class ListedValues(Key):
-    """A list of values, each of which is read by another `Key`.
+    """Key whose value is a list; each value in the list is read by the `Key` in `each`.
 
     `more` is the end of the message for a list of invalid length.
     """
@@ -215,7 +219,9 @@ class ListedValues(Key):
 
 @dataclass(frozen=True)
 class AnyTable(Key):
-    """A table whose keys are names. The values of the table are read later, when more information is available."""
+    """Key whose value is a table in which the keys are names. The values of the table are read later, when more information is
+    available.
+    """
 
     schema: ClassVar[Mapping[str, Any]] = {"type": "object"}
     meaning: str = ""
@@ -231,9 +237,9 @@ class AnyTable(Key):
 
 @dataclass(frozen=True)
 class Subsection(Key):
-    """A table that is read as a section.
+    """Key whose value is a table that is read as a section.
 
-    If there are several possible sections, the required key in the table selects one of them.
+    If several sections are possible, the section is the one whose required key is in the table.
 
     `give` is the end of the message for an invalid value.
     """
@@ -259,9 +265,10 @@ class Subsection(Key):
 
 @dataclass(frozen=True)
 class BySignal(Key):
-    """A table with numbers for signals or for other names. Each number has the unit of its signal, or a common unit.
+    """Key whose value is a table of numbers by name, such as the name of a signal. Each number has the unit of its signal, or
+    all numbers have the same unit.
 
-    The entry `names` in the context of the reader gives the unit of each allowed name.
+    The entry `names` in the argument `context` gives the unit of each allowed name.
     """
 
     meaning: str = ""
@@ -290,9 +297,10 @@ class BySignal(Key):
 
 @dataclass(frozen=True)
 class ReadBy(Key):
-    """A value of a form that only one section uses.
+    """Key whose value has a form that only one section uses.
 
-    A function of value and context reads the value; `allowed` is the JSON schema of the value.
+    The function `function` takes the value and the context, and returns the converted value; `allowed` is the JSON schema of
+    the value.
     """
 
     meaning: str = ""
@@ -306,12 +314,14 @@ class ReadBy(Key):
         return self.allowed
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns the result of the function."""
+        """Returns the value as converted by `function`."""
         return self.function(value, context)
 
 
 def below(place: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
-    """Reads one part of the value of a key. Messages also contain the place of this part, as `.NAME` or `[INDEX]`."""
+    """Reads one part of the value of a key. Messages also contain the place of the part within the value, as `.NAME` or
+    `[INDEX]`.
+    """
     try:
         return key.read(value, context)
     except InputError as error:
@@ -333,19 +343,19 @@ class Section:
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
         """Returns the table of a file after converting those values that depend on other keys.
 
-        No value has been checked yet.
+        The values in the table have not been checked yet.
         """
         return given
 
     @property
     def record(self) -> dict[str, Any]:
-        """The section as it is written to a log: keys whose values differ from the defaults, in SI units."""
+        """The section as it is written to a log: the keys whose values differ from the defaults, with values in SI units."""
         given = {one.name: (getattr(self, one.name), one.default) for one in fields(self)}  # pyright: ignore[reportArgumentType]
         return {name: _plain_value(value) for name, (value, usual) in given.items() if value != usual}
 
 
 def _plain_value(value: Any) -> Any:
-    """Returns a value of a section in the form in which TOML and JSON contain it."""
+    """Converts a value of a section to the form in which TOML and JSON files contain the value."""
     if isinstance(value, Section):
         return value.record
     return [_plain_value(one) for one in value] if isinstance(value, tuple) else value
@@ -355,10 +365,10 @@ S = TypeVar("S", bound=Section)
 
 
 def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
-    """Reads a section of a file.
+    """Reads a section of a TOML or JSON file.
 
     Args:
-        where: name of the section for messages, such as "[payload]".
+        where: name of the section, such as "[payload]", for messages.
         section: dataclass of the section.
         given: table of the section, as read from TOML or JSON.
         context: facts about the vehicle on which the allowed values depend, by name.
@@ -367,7 +377,7 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
         The section, an object of the dataclass.
 
     Raises:
-        InputError: a key is missing or unknown, a value is not allowed, or values do not fit together. The message gives
+        InputError: a key is missing or unknown, a value is not allowed, or values do not fit together. The error message gives
             section and key, the wrong value, the allowed values and a correction.
     """
     if not isinstance(given, Mapping):
@@ -412,16 +422,16 @@ def locate_errors(where: str, path: Sequence[str]) -> Iterator[None]:
 
 
 def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()) -> S:
-    """Reads a section from a text `:NAME=VALUE:NAME=VALUE`, as on a command line. Numbers may be given without units.
+    """Reads a section from a text `:NAME=VALUE:NAME=VALUE`, as on a command line. Numbers in the text may have no unit.
 
     Args:
         where: name of the section, for messages.
         section: dataclass of the section.
         text: text of the section, such as ":class=C:seed=3".
-        names: the allowed names; by default, the names of all keys.
+        names: names of the keys that the text may contain; by default, the names of all keys.
 
     Raises:
-        InputError: the text has another form, or a name or value is not allowed.
+        InputError: the text does not have the form `:NAME=VALUE`, or a name or value is not allowed.
     """
     known, given = keys(section), dict[str, Any]()
     with error_in(where):
@@ -475,7 +485,7 @@ def described_key(schema: Mapping[str, Any], meaning: str, unit: str) -> dict[st
 
 
 def _key(annotation: Any) -> Key:
-    """Returns the `Key` in an annotation, which may also allow None."""
+    """Returns the `Key` in an annotation; the annotation may also allow None."""
     if get_origin(annotation) is Annotated:
         return next(one for one in get_args(annotation)[1:] if isinstance(one, Key))
     return next(_key(one) for one in get_args(annotation) if get_origin(one) is Annotated)

@@ -1,12 +1,12 @@
 """Tables of numbers in text files, spreadsheets, MATLAB and LabVIEW files.
 
-The readers of roads, rigs, characteristics and logs use this module.
+The functions that read roads, rigs, characteristics and logs use this module.
 
 Cells are separated by semicolons, tabs, commas or spaces, and may be in quotes. A comma that does not separate cells is a
 decimal comma. A table uses one decimal mark and no thousands separators. A comment begins with `#`; a line that begins with
-`%`, `!` or `//` is also a comment. Names and units of the columns are above the numbers, as in `force [kN]`, `height_cm` or
-`left / mm`. Units may be on a separate line. `csv.Sniffer` is not used, because it takes the comma of `0,5;0,02` for the
-separator.
+`%`, `!` or `//` is also a comment. The names and units of the columns are on a line above the numbers, as in `force [kN]`,
+`height_cm` or `left / mm`. The units may be on a separate line between names and numbers. `csv.Sniffer` is not used, because it
+would take the decimal comma of `0,5;0,02` for the separator.
 """
 
 import csv
@@ -49,7 +49,7 @@ MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "---"))
 
 @dataclass(frozen=True)
 class NumberTable:
-    """Table of numbers in a text.
+    """Table of numbers in the text of a file.
 
     Attributes:
         lines: lines of the text.
@@ -69,13 +69,13 @@ class NumberTable:
         """Returns the headings of all columns. The headings are on the line above the numbers, or above a line with units.
 
         Args:
-            units: units whose dimensions are allowed for columns.
-            optional: True if the table needs no headings. A comment is then read as headings only if it contains only
-                quantities.
-            alike: True if several columns may have the same name.
+            units: units whose dimensions are allowed for the columns of the table.
+            optional: True if the table needs no headings. For such a table, a comment is read as headings only if the comment
+                contains nothing but names of quantities.
+            alike: True if several columns of the table may have the same name.
 
         Raises:
-            InputError: headings are missing, are equal, or contain a number.
+            InputError: headings are missing, two headings are equal, or a heading contains a number.
         """
         text = LINE_IN_QUOTES.sub(lambda cell: " ".join(cell[0].split()), "\n".join(self.lines[: self.first]))
         # The lists of headings have the key True for lines that are comments
@@ -115,7 +115,7 @@ class NumberTable:
     def _heading_cells(self, line: str) -> list[str]:
         """Returns the cells of a line above the numbers; empty if the number of cells is wrong.
 
-        This line may have another separator than the lines of numbers.
+        The line above the numbers may have a different separator from the lines of numbers.
         """
         if self.count == 1 and line.strip():
             return [line.strip("\"'; ")]
@@ -137,10 +137,10 @@ class NumberTable:
         """Returns the numbers in columns, shape (rows, columns), and the line number of every row, counted from 1.
 
         Args:
-            columns: column numbers, counted from 0; empty for all columns. Other columns, and text after the last column, are
-                ignored.
-            ragged: True if a line may contain additional numbers after the last column.
-            gaps: True if cells may be missing, as in `MISSING`; they become NaN.
+            columns: column numbers, counted from 0; empty for all columns. Columns that are not listed, and text after the last
+                column, are ignored.
+            ragged: True if a line may contain more numbers than the table has columns.
+            gaps: True if cells may be empty or contain a text in `MISSING`, such as "n/a"; these cells become NaN.
 
         Raises:
             InputError: a cell is not a finite number, a line has more or fewer cells than the first line, or decimal and
@@ -184,7 +184,7 @@ class NumberTable:
 
         The cells are numbers, whose unit is in the heading, or times of day.
 
-        Times of day may cross midnight once.
+        Times of day may pass midnight once.
 
         Args:
             heading: heading of the column of times.
@@ -208,10 +208,11 @@ class NumberTable:
         """Returns all columns in SI units, by quantity.
 
         Args:
-            known: quantities that are allowed for columns.
+            known: quantities that the columns may contain.
 
         Raises:
-            InputError: a column has another quantity, or `headings`, `Heading.scale` or `numbers` raises this error.
+            InputError: the quantity of a column is not in `known`, or `headings`, `Heading.scale` or `numbers` raises this
+                error.
         """
         headings = self.headings([QUANTITIES[name].si for name in known])
         for heading in headings:
@@ -226,10 +227,11 @@ class NumberTable:
 def table_text(path: Path) -> str:
     """Returns the content of a file as text.
 
-    Text files are read as UTF-8 or, if this fails, as Windows-1252. For LabVIEW files, units are added to the headings. All
-    other files are converted to lines with tabs. For a spreadsheet (.xlsx), the text is the sheet that contains a table or,
-    without such a sheet, the first sheet. For a MATLAB file (.mat), the text contains the arrays; for a Parquet file
-    (.parquet), the columns of numbers. For recordings (MDF4, .mf4, and MCAP, .mcap), the text contains the channels.
+    Text files are read as UTF-8; if they are not valid UTF-8, they are read as Windows-1252. For LabVIEW files, units are added
+    to the headings. All other files are converted to lines whose cells are separated by tabs. For a spreadsheet (.xlsx), the
+    text is the sheet that contains a table; if no sheet contains a table, it is the first sheet. For a MATLAB file (.mat), the
+    text contains the arrays; for a Parquet file (.parquet), it contains the columns of numbers. For recordings (MDF4, .mf4, and
+    MCAP, .mcap), the text contains the channels.
 
     Raises:
         InputError: the package for spreadsheets is not installed, or the file is too large. The error is also raised if several
@@ -313,7 +315,8 @@ def _matlab_rows(content: bytes) -> list[Sequence[Any]]:
 
 
 def matlab_variables(content: bytes) -> dict[str, Any]:
-    """Returns the variables of a MATLAB file, version 4 to 7, by name. MATLAB's own entries begin with two underscores.
+    """Returns the variables of a MATLAB file, version 4 to 7, by name. In the result of SciPy, entries that are not variables
+    begin with two underscores.
 
     Raises:
         InputError: the file is not a MATLAB file, or has version 7.3.
@@ -330,16 +333,16 @@ def matlab_variables(content: bytes) -> dict[str, Any]:
 
 
 def find_table(text: str, give: str, separator: str = "", column: int = 0) -> NumberTable:
-    """Finds the table in a text. The table begins with the first line that has a number in a given column.
+    """Finds the table in a text. The table begins with the first line that has a number in the column `column`.
 
     Args:
         text: text of the whole file.
         give: description of the content that the file must have, for messages.
-        separator: separator from `SEPARATORS`; empty to detect the separator in that line.
+        separator: separator from `SEPARATORS`; empty to detect the separator in the first line of the table.
         column: number of the column in which the first line must have a number, counted from 0.
 
     Raises:
-        InputError: no line has a number in this column.
+        InputError: no line has a number in the column `column`.
     """
     if "\0" in text:
         raise InputError(f"this is not a text file in UTF-8 (a NUL character, as in UTF-16); save it as UTF-8, or {give}")
@@ -358,7 +361,9 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
 
 
 def _split(line: str, separator: str) -> tuple[str, list[str]]:
-    """Returns the separator of a line, and the cells without comments. If `separator` is empty, the separator is detected."""
+    """Returns the separator of a line, and the cells of the line without comments. If `separator` is empty, the separator is
+    detected.
+    """
     numbers = _without_comment(line)
     marks = [SEPARATORS[separator]] if separator else [mark for mark in SEPARATORS.values() if mark in numbers] or [" "]
     splits = {mark: _trim_cells(_cells(numbers, mark)) for mark in marks}

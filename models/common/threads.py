@@ -1,7 +1,7 @@
 """Parallel work on several threads, with BLAS limited to a single thread.
 
-The matrices of this project are small. On a busy machine, BLAS threads that wait for each other would take a hundred times
-longer. In addition, the rounding errors of a design must not depend on the number of threads.
+The matrices of this project are small. On a busy machine, calculations with BLAS threads that wait for each other would take a
+hundred times longer. In addition, the rounding errors of a design must not depend on the number of BLAS threads.
 """
 
 import contextvars
@@ -23,7 +23,7 @@ def _libraries() -> ThreadpoolController:
 
 
 class _Limit:
-    """Limits the process to one BLAS thread, from the time when the first block is entered until the last block is left."""
+    """Limits the process to one BLAS thread while at least one block that requests this limit is running."""
 
     def __init__(self) -> None:
         self._lock, self._within = threading.Lock(), 0
@@ -46,7 +46,9 @@ _limit = _Limit()
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limits BLAS to one thread in a block or in a decorated function. Nesting is allowed and fast."""
+    """Limits BLAS to one thread in a block or in a decorated function. Blocks and decorated functions may be nested at almost
+    no cost.
+    """
     _limit.enter()
     try:
         yield
@@ -64,7 +66,7 @@ Piece = Callable[[Callable[[], bool]], Result]
 def cores() -> int:
     """Returns the number of processors that this process may use, at least 1.
 
-    A container or scheduler may limit this number.
+    A container or scheduler may limit the number of processors.
     """
     allowed = getattr(os, "sched_getaffinity", None)
     return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
@@ -73,15 +75,16 @@ def cores() -> int:
 def side_by_side(
     pieces: Iterable[Piece[Result]], threads: int, abandon: Callable[[], None] = lambda: None
 ) -> Generator[tuple[int, Result]]:
-    """Yields the number and the result of every piece of work, in the order of completion.
+    """Yields the index and the result of every piece of work, in the order in which the pieces are completed.
 
-    A thread takes the next piece when it becomes free. Each piece runs in the Python context (`contextvars`) of the first call
-    of `next`. A caller that stops early must close the iterator, which abandons the running pieces and waits for them.
+    A thread takes the next piece of work when the thread becomes free. Each piece runs in the Python context (`contextvars`) of
+    the first call of `next`. A caller that stops early must close the iterator, which abandons the running pieces and waits for
+    them.
 
     Args:
-        pieces: pieces of work. Long pieces should come first, so that all threads end at about the same time.
+        pieces: pieces of work. Long pieces of work should come first, so that all threads end at about the same time.
         threads: number of threads.
-        abandon: function that is called if the work is abandoned; it must end whatever the running pieces wait for.
+        abandon: function that is called if the work is abandoned; the function must end whatever the running pieces wait for.
     """
     stop, coming = threading.Event(), enumerate(pieces)
     with ThreadPoolExecutor(threads) as pool:

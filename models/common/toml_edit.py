@@ -1,4 +1,4 @@
-"""Changes to a user's TOML text that keep comments, order and blank lines, and functions that write new sections."""
+"""Functions that change a user's TOML text but keep comments, order and blank lines, and functions that write new sections."""
 
 import json
 import re
@@ -31,10 +31,11 @@ class Replacement:
 
 
 def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
-    """Returns a TOML text with replaced keys. A comment on the line of a replaced key stays on the line of the first new key.
+    """Returns a TOML text in which some keys are replaced. A comment on the line of a replaced key stays on the line of the
+    first new key.
 
     Raises:
-        InputError: the text is not TOML, or the changed text would not have exactly the expected values.
+        InputError: the text is not TOML, or the changed text would not contain exactly the expected values.
     """
     if not replacements:
         return text
@@ -83,10 +84,10 @@ def _place(body: list[Any], path: tuple[str, ...], line: Any = None) -> Any:
     Args:
         body: body of the document or of a table.
         path: names of the sections of the key, and of the key itself.
-        line: place of the item whose line contains the whole body; None for a body whose items are on lines of their own.
+        line: place of the item whose line contains the whole body; None if every item of the body has its own line.
 
     Returns:
-        Two places, each as a body and an index: the item of the key, and the item on whose line the key is.
+        Two places, each given by a body and an index: the place of the key, and that of the item on whose line the key is.
     """
     from tomlkit.items import InlineTable
 

@@ -1,4 +1,6 @@
-"""Numbers with units, such as `90 km/h`, `22 N/mm` or `8 Hz`. Files, options and tables all use this table of units."""
+"""Numbers with units, such as `90 km/h`, `22 N/mm` or `8 Hz`. The units in files, options and tables are all converted by the
+table of units in this module.
+"""
 
 import math
 import re
@@ -62,7 +64,7 @@ def unit_named(text: str) -> str:
 def quantity(text: str, unit: str, what: str = "") -> float:
     """Converts a number with its unit, such as `70 mm` or `8Hz`, to another unit.
 
-    A number without a unit is already in the unit of the result.
+    A number without a unit is assumed to be in the unit of the result.
 
     Args:
         text: the number, with or without a unit.
@@ -70,7 +72,7 @@ def quantity(text: str, unit: str, what: str = "") -> float:
         what: name of the number, for messages.
 
     Raises:
-        InputError: the text is not a number with a unit, or the unit is unknown or of another dimension.
+        InputError: the text is not a number with a unit, or the unit is unknown or of the wrong dimension.
     """
     match, pure = QUANTITY.fullmatch(text), unit in ("", "-", "1")
     said = f"{what} = {short_repr(text)}" if what else short_repr(text)
@@ -96,7 +98,8 @@ def unit_size(unit: str, si: str) -> float | None:
 
 
 def in_unit(value: Any, unit: str, what: str) -> Any:
-    """Converts a text that contains a number with a unit, as `quantity` does. Returns any other text or value unchanged.
+    """Converts a text that contains a number with a unit, as `quantity` does. Returns a text that contains no number, or any
+    other value, unchanged.
 
     Raises:
         InputError: `quantity` raises this error, or a number in quotes has no unit.
@@ -115,7 +118,7 @@ def setting(name: str, value: str, unit: str = "1") -> float:
     """Converts a text that contains a number, with or without a unit, to a given unit.
 
     Raises:
-        InputError: the value is not a finite number, or its unit is unknown or of another dimension.
+        InputError: the value is not a finite number, or its unit is unknown or of the wrong dimension.
     """
     try:
         number = float(value)
@@ -127,7 +130,7 @@ def setting(name: str, value: str, unit: str = "1") -> float:
 
 
 def _example(unit: str) -> str:
-    """Returns an example of a quantity with this unit, in quotes."""
+    """Returns an example of a number with the unit in the argument, in quotes."""
     return '"1.5"' if unit in ("", "-", "1") else f'"1.5 {unit}"'
 
 
@@ -152,7 +155,7 @@ def _size(unit: str) -> tuple[Fraction, tuple[int, ...]] | None:
 
 
 def _unit(name: str) -> tuple[Fraction, tuple[int, ...]] | None:
-    """Returns size and powers of a unit that is not a product, as `_size` does."""
+    """Returns the factor to SI units and the powers of a unit that is not a product of units, as `_size` does."""
     usual = unit_named(name)
     for powers, sizes in SIZES.items():
         for known in (name, usual):

@@ -1,1 +1,3 @@
-"""Results as documents, and figures as data. Figures are drawn by matplotlib, as picture files and as SVG in pages."""
+"""Documents that present results, and figures that are stored as data. Figures are drawn by matplotlib, as picture files and as
+SVG in pages.
+"""

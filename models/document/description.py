@@ -1,4 +1,4 @@
-"""Text descriptions of panels, as the text alternative of every figure."""
+"""Text descriptions of the panels of figures; every figure has such a description as its text alternative."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from models.document.figure import Bars, Classes, Panel, Spans
 
 
 def quantity(label: str) -> tuple[str, str]:
-    """Returns the name and the unit in an axis label `name [unit]`. Either may be empty."""
+    """Returns the name and the unit in an axis label `name [unit]`. The name or the unit may be empty."""
     name, _, unit = label.partition("[")
     return name.strip(), unit.removesuffix("]").strip()
 
@@ -31,7 +31,7 @@ def _ground(panel: Panel) -> list[str]:
 
 
 def _curves(panel: Panel) -> list[str]:
-    """Returns a text description of each curve: extremes and end of a line, or number of points."""
+    """Returns a text description of each curve: the extremes and the last value of a line, or the number of points."""
     (_, unit), (_, per) = quantity(panel.ylabel), quantity(panel.xlabel)
     descriptions = []
 

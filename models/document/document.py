@@ -3,8 +3,8 @@
 A document can be written as text, as a page, as CSV and as notebook output.
 
 Every study has a function `describe` that returns the document of its result. A command prints the document
-(`models.document.text`). A report is a page of many documents (`models.document.page`), so commands and reports have the same
-words and digits.
+(`models.document.text`). A report is a page of many documents (`models.document.page`), so the same result has the same words
+and digits in commands and in reports.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -42,15 +42,15 @@ class Statement:
 
 @dataclass(frozen=True)
 class Pivot:
-    """A short form of a long table.
+    """Definition of the short form of a long table.
 
     The short form has a row for each combination of values in some columns, and a column for each value of another column.
 
     Attributes:
-        rows: headings of the columns whose values form the name of a row. The cell of a column `unit` is added to the name in
-            brackets.
-        across: heading of the column whose values become columns.
-        values: headings of the columns whose numbers are shown.
+        rows: headings of the columns whose values form the name of a row. If one of the columns is `unit`, its cell is added to
+            the name in brackets.
+        across: heading of the column whose values become the columns of the short form.
+        values: headings of the columns whose numbers the short form shows.
     """
 
     rows: tuple[str, ...]
@@ -67,11 +67,12 @@ class Table:
         caption: description of the table's content.
         headings: headings of the columns.
         rows: cells as text. The first cell of a row is its name.
-        words: number of left-aligned text columns. Other columns are right-aligned numbers, except a last column `NOTE`.
+        words: number of columns with text, which are left-aligned. The remaining columns are right-aligned numbers, except for
+            a last column `NOTE`.
         pivot: short form of the table for a page; None to show all columns whose cells differ.
         detail: lowest level of detail at which the table is shown.
-        wide: headings of columns for which a terminal has no room.
-        keys: keys of the columns in JSON; empty if the keys are the headings.
+        wide: headings of columns that are omitted on a terminal, because a terminal has no room for them.
+        keys: keys of the columns in JSON; empty if the headings are the keys.
     """
 
     name: str
@@ -99,7 +100,7 @@ class Table:
         pivot: Pivot | None = None,
         detail: Detail = "normal",
     ) -> "Table":
-        """Returns a table with a row for each result. Fields of detail "full" are columns only in pages and files."""
+        """Returns a table with a row for each result. Fields with the detail "full" become columns only in pages and files."""
         wide = tuple(field.title for field in fields if field.detail == "full")
         renamed = any(field.column for field in fields)
         keys = tuple(field.column or field.title for field in fields) if renamed else ()
@@ -107,7 +108,7 @@ class Table:
 
     @property
     def records(self) -> list[dict[str, str]]:
-        """The rows for JSON: for each row, the cells by the key of the column."""
+        """The rows of the table for JSON: each row maps the key of every column to the cell."""
         return [dict(zip(self.keys or self.headings, row, strict=True)) for row in self.rows]
 
 
@@ -129,7 +130,9 @@ class Document:
     detail: Detail = "normal"
 
     def all(self) -> Iterator[Block]:
-        """Yields every block, including the blocks of inner documents. An inner document comes before its blocks."""
+        """Yields every block, including the blocks of inner documents. An inner document is yielded before the blocks that it
+        contains.
+        """
         for block in self.blocks:
             yield block
             if isinstance(block, Document):
@@ -152,12 +155,12 @@ class Document:
 
     @property
     def state(self) -> State:
-        """The worst state of all statements."""
+        """The worst state that any statement of the document has."""
         return worst(self.statements)
 
 
 def worst(statements: Iterable[Statement]) -> State:
-    """Returns the worst state of the given statements."""
+    """Returns the worst state that any of the statements has."""
     return STATES[max((STATES.index(one.state) for one in statements), default=0)]
 
 
@@ -172,7 +175,7 @@ def statements(said: Iterable[tuple[str, str]], detail: Detail = "normal") -> li
 
 
 def is_shown(block: Block, detail: Detail) -> bool:
-    """Returns True if a block is shown at a given level of detail."""
+    """Returns True if a block is shown at the requested level of detail."""
     figure = not isinstance(block, Statement | Table | Document)
     return figure or LEVELS.index(block.detail) <= LEVELS.index(detail)
 

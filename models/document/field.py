@@ -1,4 +1,4 @@
-"""A quantity of a result: its name, unit, digits, and key in JSON, for all forms of output.
+"""Quantity of a result, with the name, unit, digits and JSON key that it has in all forms of output.
 
 Quantities are the columns of a table, and the values of a `Record`.
 """
@@ -24,7 +24,7 @@ class Field(Generic[Of]):
     Attributes:
         label: name of the quantity.
         value: function that takes a result and returns a text, or a number in SI units.
-        form: format of a number, or a function that formats it.
+        form: format of the number, or a function that formats the number.
         scale: factor from SI units to `unit`.
         key: key in JSON, for the value in SI units; empty to omit the quantity in JSON.
         unit: unit in which the quantity is written; empty for a quantity without a unit, or if `form` writes the unit.
@@ -51,7 +51,7 @@ class Field(Generic[Of]):
         return self.digits(self.value(one))
 
     def digits(self, value: Any) -> str:
-        """Returns a value in SI units as text without its unit, in the same form as `cell`."""
+        """Converts a value in SI units to text without its unit, in the same form as `cell`."""
         if isinstance(value, str) or value is None:
             return "-" if value is None else value
         value = self.scale * value
@@ -62,7 +62,7 @@ class Field(Generic[Of]):
         return f"{self.digits(value)} {self.unit}".rstrip()
 
     def of(self, get: Callable[[T], Of | None], label: str = "") -> "Field[T]":
-        """Returns a field with the same quantity for objects that contain a result of this type.
+        """Returns a field that shows the same quantity for objects that contain the result.
 
         Args:
             get: function that returns the result in an object, or None for an object without a result.
@@ -97,20 +97,21 @@ def _value(get: "Field[T] | Value[T]", one: T) -> Any:
 class Record(Generic[T]):
     """JSON object of a result: values by key.
 
-    A record is called with the result, so one record can be a value in another record.
+    A record is a function of the result, so one record can be a value in another record.
 
     None represents an infinite or missing number, and [real, imaginary] a complex number. An array becomes a list, and a
     dataclass becomes an object.
     """
 
     def __init__(self, *parts: "Field[T] | Part[T]", **values: "Field[Any] | Value[Any]") -> None:
-        """Prepares the record from the parts that give its values.
+        """Prepares the record from the parts that give the values of the JSON object.
 
         Args:
-            parts: fields, names of attributes, records or functions that give the values. Fields without a key are omitted. The
-                name of an attribute is also its key. The keys in the objects that records and functions return become keys of
-                this object.
-            values: further values, after these parts: fields, functions, or names of attributes, such as "certificate.norm".
+            parts: fields, names of attributes, records or functions that give the values. Fields that have no JSON key are
+                omitted. The name of an attribute is also the key of its value. The keys of objects that records and functions
+                return become keys of the JSON object.
+            values: further values by key, after those of the parts: fields, functions, or names of attributes, such as
+                "certificate.norm".
         """
         keyed = [
             {part.key: part} if isinstance(part, Field) else {part: part} if isinstance(part, str) else part for part in parts
@@ -118,14 +119,15 @@ class Record(Generic[T]):
         self._parts: list[Callable[[T], Mapping[str, Any]] | Mapping[str, Any]] = [*keyed, values]
 
     def __call__(self, one: T) -> dict[str, Any]:
-        """Returns the object of a result, without keys whose value is `OMITTED_KEY`."""
+        """Returns the JSON object of a result, without keys whose value is `OMITTED_KEY`."""
         found: dict[str, Any] = {}
         for part in self._parts:
             found |= dict(part(one)) if callable(part) else {key: _value(get, one) for key, get in part.items() if key}
         return {key: plain(value) for key, value in found.items() if value is not OMITTED_KEY}
 
     def all(self, get: "Value[Any]") -> Callable[[Any], Any]:
-        """Returns a function for use as a value in an outer record, which then contains objects of this record.
+        """Returns a function for use as a value in an outer record; the outer record then contains the JSON objects of this
+        record.
 
         Args:
             get: field, function or attribute that gives one result, or a list, tuple or mapping of results.
@@ -145,7 +147,9 @@ OMITTED_KEY: Any = object()
 
 
 def if_any(get: Callable[[T], Any]) -> Callable[[T], Any]:
-    """Returns a function for use as a value in a record; if its result is None or empty, the record omits the key."""
+    """Returns a function for use as a value in a record; if the function returns None or an empty value, the record omits the
+    key.
+    """
 
     def value(one: T) -> Any:
         found = get(one)

@@ -1,4 +1,4 @@
-"""Figures as data, for picture files and for pages in a browser."""
+"""Figures as data, from which picture files and pages for a browser are drawn."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ Marker = Literal["", "o", "s", "^", "D", "v", "p", "x", "+"]
 
 
 class Style(NamedTuple):
-    """Line style of a controller. Two styles never differ only in colour.
+    """Line style of a controller. Any two styles differ in more than colour, so readers can distinguish them without colours.
 
     Attributes:
         color: colour as `#rrggbb`.
@@ -47,7 +47,7 @@ def styles(names: tuple[str, ...]) -> dict[str, Style]:
     """Returns colour, line style and marker of every controller: the style in the paper, or the next unused style.
 
     Args:
-        names: names of all controllers, in order, so that a controller has the same style in every figure.
+        names: names of all controllers in a fixed order, so that a controller has the same style in every figure.
     """
     rest = [name for name in names if name not in STYLES]
     taken = {(style.color, style.dash) for style in STYLES.values()}
@@ -65,12 +65,13 @@ def rgb(color: str) -> tuple[int, int, int]:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A line, points, or both. A curve without points is only an entry of the legend.
+    """Curve in a panel: a line, points, or both. A curve without points is only an entry of the legend.
 
     Attributes:
         x: horizontal values, shape (N,).
-        y: vertical values, shape (N,). NaN interrupts the line.
-        label: name in the legend; curves with equal labels share an entry. An empty label means no entry.
+        y: vertical values, shape (N,). A coordinate NaN interrupts the line.
+        label: name in the legend; curves with equal labels share an entry. A curve with an empty label has no entry in the
+            legend.
         name: name in the text alternative; by default, the label.
         color: colour as `#rrggbb`.
         dash: dash pattern of the line.
@@ -92,14 +93,14 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Classes:
-    """A grid of cells, each of which belongs to a class.
+    """Map: a grid of cells, each of which belongs to a class.
 
     Attributes:
         x: horizontal centres of the cells, equidistant, shape (N,).
         y: vertical centres of the cells, equidistant, shape (M,).
         kind: index of each cell's class, shape (M, N).
         colors: colours of the classes.
-        names: names of the classes; the legend contains the classes that occur.
+        names: names of the classes; the legend contains only the classes that occur in the grid.
     """
 
     x: Array
@@ -116,7 +117,7 @@ class Classes:
 
     @property
     def labels(self) -> list[tuple[str, int, int]]:
-        """Name of every class that has room for its name, with row and column of the innermost cell of the class."""
+        """Name of every class whose area has room for the name, with the row and column of the innermost cell of the class."""
         entries = []
         for i, name in enumerate(self.names):
             inside, depth, at = self.kind == i, 0, (0, 0)
@@ -141,7 +142,7 @@ class Bars:
     Attributes:
         names: names of the bars.
         values: lengths of the bars, at least 0, shape (N,); NaN for no bar.
-        words: text at the end of each bar.
+        words: text that is written next to each bar.
         colors: colours of the bars.
     """
 
@@ -168,14 +169,14 @@ class Spans:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Pair of axes with curves.
+    """Panel of a figure: a pair of axes with curves.
 
     Attributes:
         title: title above the axes; may have two lines.
         xlabel: label of the horizontal axis with its unit.
         ylabel: label of the vertical axis with its unit; empty for a panel of bars.
-        curves: curves in the order of drawing.
-        ground: cells, bars or shaded intervals that are drawn below the curves; None for only curves.
+        curves: curves, in the order in which they are drawn.
+        ground: cells, bars or shaded intervals that are drawn below the curves; None for a panel that contains only curves.
         xlog: True for a logarithmic horizontal axis.
         ylog: True for a logarithmic vertical axis.
         xticks: ticks of the horizontal axis; empty for automatic ticks.
@@ -199,7 +200,7 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """Panels that belong together.
+    """Figure: several panels that belong together.
 
     Attributes:
         name: name of the figure's file, without suffix.
@@ -226,7 +227,7 @@ class Entry(NamedTuple):
         width: width of the line [points].
         marker: marker of the points; may be empty.
         filled: True for filled markers.
-        ground: True for an area of a map.
+        ground: True if the entry explains the colour of an area in a map.
     """
 
     label: str
@@ -258,7 +259,7 @@ def legend(figure: Figure) -> list[Entry]:
 
 
 def axis_ends(values: Sequence[Array]) -> tuple[float, float]:
-    """Returns the ends of an axis that contains all values, with a margin."""
+    """Returns the limits of an axis that shows all values with a margin."""
     joined = np.concatenate([*values, np.zeros(0)])
     joined = joined[np.isfinite(joined)]
     if not len(joined):
@@ -273,12 +274,12 @@ def axis_ends(values: Sequence[Array]) -> tuple[float, float]:
 def drawn_indices(y: Array, every: int) -> Array:
     """Returns the indices of the points to draw for a line, so that even the shortest peak remains visible.
 
-    In each group of 2 * `every` points, the points with the largest and the smallest value are drawn. Both ends of the line are
-    also drawn.
+    In each group of 2 * `every` consecutive points, only the points with the largest and the smallest value are drawn. Both
+    ends of the line are also drawn.
 
     Args:
         y: values of the line, shape (N,), N at least 1.
-        every: step of the thinning, at least 1; with 1, all points are drawn.
+        every: factor by which the number of points is reduced, at least 1; with 1, all points are drawn.
     """
     if every == 1:
         return np.arange(len(y))

@@ -1,4 +1,4 @@
-"""Figure of a gain over frequency, which a notebook shows below the text about a control loop."""
+"""Figure of a gain against frequency, which a notebook shows below the text about a control loop."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,8 @@ POINTS = 400  # number of points of a curve over frequency
 def gain_figure(
     title: str, A: Array, B: Array, C: Array, D: Array, dt: float | None = None, levels: Mapping[str, float | None] | None = None
 ) -> Figure:
-    """Returns the figure of a system's largest singular value over frequency; the frequency range covers the poles.
+    """Returns the figure of a system's largest singular value against frequency; the frequency range covers the poles of the
+    system.
 
     Args:
         title: description of the system.

@@ -1,4 +1,4 @@
-"""Output files and folders of a command. The paths are checked before the work begins, and listed at the end."""
+"""Output files and folders of a command. The paths of the outputs are checked before the work begins, and listed at the end."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,17 +28,18 @@ OF_FIGURES = (*SUFFIXES, ".csv")
 
 
 def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str] = (), json: bool = False) -> None:
-    """Checks that all outputs can be written, to different files. Leaves nothing behind.
+    """Checks that all outputs can be written, each to a file of its own. The check leaves no files or folders behind.
 
     Args:
         outputs: paths by type of output (csv, picture, report, save, vehicle, logs or figures); None for outputs that are not
             requested.
-        read: paths of the input files. An output may not replace an input file, even under another name or through a link.
+        read: paths of the files that the command reads. An output may not replace an input file, even under a second name of
+            the file or through a link.
         json: True if standard output is reserved for one JSON object.
 
     Raises:
-        InputError: an output cannot be written, has the suffix of another format, or is the same file as an input or as another
-            output. The error is also raised if a vehicle file would replace a file that no command has saved.
+        InputError: an output cannot be written, has the suffix of a different format, or is the same file as an input or as
+            another output. The error is also raised if a vehicle file would replace a file that no command has saved.
     """
     read_files = {identity(Path(path)) for path in read}
     taken: dict[object, str] = dict.fromkeys(read_files, "is an input file")
@@ -72,7 +73,7 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
 
 
 def _check_ending(path: Path, what: str) -> None:
-    """Refuses a suffix that does not match the output.
+    """Refuses a path whose suffix does not match the type of the output.
 
     For a link, the suffix of the link is checked, not the suffix of its target.
     """
@@ -95,6 +96,6 @@ def output_paths(outputs: Mapping[str, Path | None]) -> dict[str, str | None]:
 
 
 def written_lines(outputs: Mapping[str, Path | None]) -> list[str]:
-    """Returns the paths of the outputs as lines for the terminal; empty without outputs."""
+    """Returns the paths of the outputs as lines for the terminal; empty if there are no outputs."""
     lines = [line for name, path in outputs.items() if path is not None for line in (name, Whole(f"  {path}"))]
     return ["", *lines] if lines else []

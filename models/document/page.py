@@ -1,6 +1,6 @@
 """Pages: documents as one HTML file that needs no network.
 
-Figures are inline SVG, and there is no script. Jinja2 fills the template `page.html.jinja`.
+Figures are inline SVG, and the page contains no script. Jinja2 fills the template `page.html.jinja`.
 """
 
 import base64
@@ -44,13 +44,13 @@ MARKS: dict[State, str] = {"holds": "✓", "ends": "!", "fails": "✗"}
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Report on one page.
+    """Report as one HTML page.
 
     Attributes:
         title: title of the page.
-        summary: the first part: figures and tables, without a title.
-        sections: the parts after the summary, in order.
-        headline: the answer in one line.
+        summary: first part of the page: figures and tables, without a title.
+        sections: parts of the page after the summary, in order.
+        headline: main result of the report in one line.
         verdicts: text of the verdict for each state.
         sketch: sketch of the vehicle at the top; None for a page without a sketch.
     """
@@ -69,19 +69,19 @@ class Page:
 
     @property
     def answer(self) -> list[Statement]:
-        """The statements that make a claim about the result."""
+        """The statements of the report that make a claim about the result."""
         return [one for one in self.whole.statements if one.state != "note"]
 
     @property
     def state(self) -> State:
-        """The verdict on the agreement of simulation and analysis: all claims hold, some hold only up to some point, or some
-        fail.
+        """The verdict on the agreement of simulation and analysis: all claims hold, some claims hold only up to some point, or
+        some claims fail.
         """
         return worst([*self.answer, Statement("", "holds")])
 
     @property
     def verdict(self) -> str:
-        """The verdict as text."""
+        """The text of the verdict on the report."""
         return self.verdicts[self.state]
 
     @property
@@ -91,7 +91,7 @@ class Page:
 
 
 def check_page() -> None:
-    """Checks that pages can be created. Raises an InputError if a package is missing."""
+    """Checks that all packages for creating pages are installed. Raises an InputError if one of the packages is missing."""
     try:
         import jinja2  # noqa: F401
     except ImportError as error:
@@ -195,7 +195,7 @@ def _resource(name: str) -> str:
 
 
 def _digest(text: str) -> str:
-    """Returns the hash of a style for a Content-Security-Policy."""
+    """Returns the hash of a CSS style, for the Content-Security-Policy of the page."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
 
 

@@ -1,6 +1,6 @@
 """Figures drawn by matplotlib without a display: as files, and as SVG in pages and notebooks.
 
-Lengths are in px. Here, one px is 1/72 inch, so a font size has the same number in px and in points.
+Lengths in figures are in px. In this module, one px is 1/72 inch, so a font size is the same number in px and in points.
 """
 
 import os
@@ -52,7 +52,7 @@ SETTINGS: dict[Any, Any] = {
 
 
 def check_drawing() -> None:
-    """Checks that figures can be drawn.
+    """Checks that matplotlib is installed, so that figures can be drawn.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -64,10 +64,10 @@ def check_drawing() -> None:
 
 
 def _matplotlib() -> Any:
-    """Returns matplotlib, even if the environment variable MPLBACKEND refers to a backend that is not installed.
+    """Imports and returns matplotlib, even if the environment variable MPLBACKEND refers to a backend that is not installed.
 
-    The figures in this module do not need a backend. If the variable is valid, its backend still applies to windows with the
-    caller's own figures.
+    The figures in this module do not need a backend. If MPLBACKEND is valid, its backend still applies to windows in which
+    users show their own figures.
     """
     backend = "" if "matplotlib" in sys.modules else os.environ.pop("MPLBACKEND", "")
     try:
@@ -100,7 +100,7 @@ class _Sheet:
         self.canvas = Canvas(figsize=(width / 72, height / 72), dpi=72)
 
     def box(self, left: float, top: float, width: float, height: float) -> tuple[float, float, float, float]:
-        """Returns a rectangle as fractions of the figure's width and height, measured from its lower left corner."""
+        """Returns a rectangle as fractions of the figure's width and height, measured from the figure's lower left corner."""
         return left / self.width, 1 - (top + height) / self.height, width / self.width, height / self.height
 
     def write(self, x: float, y: float, text: str, **style: Any) -> None:
@@ -109,12 +109,12 @@ class _Sheet:
             self.canvas.text(x / self.width, 1 - y / self.height, quoted_code(text), va="baseline", **style)
 
     def write_lines(self, x: float, y: float, lines: Sequence[tuple[str, str]]) -> None:
-        """Writes lines of text with their font weights. The baseline of the first line is at y."""
+        """Writes lines of text, each with its font weight. The baseline of the first line is at y."""
         for k, (line, weight) in enumerate(lines):
             self.write(x, y + LINE * k, line, weight=weight)
 
     def lines(self, lines: Sequence[Sequence[tuple[float, float]]], opacity: float) -> None:
-        """Draws lines behind everything else."""
+        """Draws lines behind all other elements of the figure."""
         from matplotlib.collections import LineCollection
 
         places = [np.array([0, 1]) + np.array([1, -1]) * np.array(line) / (self.width, self.height) for line in lines]
@@ -123,7 +123,7 @@ class _Sheet:
 
 
 def write_picture(figure: Figure, *paths: Path) -> None:
-    """Writes a figure to every path, each as a complete file. The same figure always gives the same bytes.
+    """Writes a figure to every path, each as a complete file. Two files of the same figure have identical bytes.
 
     Raises:
         InputError: the picture cannot be written.
@@ -141,7 +141,7 @@ def write_picture(figure: Figure, *paths: Path) -> None:
 
 
 def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
-    """Returns the contour z = `height` as the x and y values of a curve, with NaN between separate parts.
+    """Returns the contour z = `height` as the x and y values of a curve, with NaN between separate parts of the contour.
 
     Args:
         x: horizontal grid, shape (N,).
@@ -190,7 +190,7 @@ def _whole(figure: Figure) -> _Sheet:
 
 
 def _paragraphs(first: str, *others: str, room: float) -> list[tuple[str, str]]:
-    """Returns the lines of paragraphs with their font weights. The first paragraph is bold."""
+    """Returns the lines of several paragraphs, each with its font weight. The first paragraph is bold."""
     bold = [(line, "bold") for line in wrap_at_spaces(notation(first), room / BOLD, FONT)]
     return bold + [(line, "normal") for text in others for line in wrap_at_spaces(notation(text), room, FONT)]
 
@@ -247,7 +247,7 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
 
 
 def _draw_bars(sheet: _Sheet, bars: Bars, label: str, left: float, top: float) -> None:
-    """Draws bars. The name and the text of each bar are above the bar."""
+    """Draws bars. The name of each bar and its text are written above the bar."""
     from matplotlib.patches import Rectangle
 
     width = BARS - 16
@@ -264,7 +264,7 @@ def _draw_bars(sheet: _Sheet, bars: Bars, label: str, left: float, top: float) -
 
 
 def _draw_ground(axis: Any, ground: Classes | Bars | Spans | None) -> None:
-    """Draws the layer below the curves."""
+    """Draws the cells, bars or shaded intervals that are below the curves."""
     if isinstance(ground, Classes):
         from matplotlib.patches import PathPatch
 
@@ -281,7 +281,7 @@ def _draw_ground(axis: Any, ground: Classes | Bars | Spans | None) -> None:
 
 
 def _edges(centres: Array) -> Array:
-    """Returns the edges of equidistant cells."""
+    """Returns the edges of equidistant cells from the centres of the cells."""
     half = (centres[-1] - centres[0]) / (2 * max(1, len(centres) - 1))
     return np.append(centres - half, centres[-1] + half)
 
@@ -332,14 +332,16 @@ def ticks(
 
 
 def _places(axis: Any, values: Sequence[float], which: Literal[0, 1]) -> list[float]:
-    """Returns the positions of values on an axis, from 0 to 1. `which` is 0 for the horizontal and 1 for the vertical axis."""
+    """Returns the positions of values on an axis, from 0 to 1. The argument `which` is 0 for the horizontal axis and 1 for the
+    vertical axis.
+    """
     points = np.empty((len(values), 2))
     points[:, which], points[:, 1 - which] = values, (axis.get_ylim, axis.get_xlim)[which]()[0]
     return (axis.transScale + axis.transLimits).transform(points)[:, which].tolist()
 
 
 def _name_spans(sheet: _Sheet, axis: Any, spans: Spans, left: float, y: float, width: float) -> None:
-    """Writes the name of each shaded interval at its middle."""
+    """Writes the name of each shaded interval at the middle of the interval."""
     low, high = axis.get_xlim()
     for ends, name in zip(spans.ends, spans.names, strict=True):
         first, last = _places(axis, [min(max(end, low), high) for end in ends], 0)
@@ -387,7 +389,7 @@ def _key_inside(entry: Entry) -> str:
 
 
 def _inside(sheet: _Sheet) -> str:
-    """Returns the elements of a drawing, with `MARK` in front of identifiers."""
+    """Returns the SVG elements of a drawing, with the text `MARK` in front of all identifiers."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     sheet.canvas.patch.set_visible(False)
@@ -401,7 +403,9 @@ def _inside(sheet: _Sheet) -> str:
 
 
 def _clean(element: str) -> str:
-    """Returns the tag of an element with presentation attributes instead of a style, and with `MARK` in front of identifiers."""
+    """Returns the tag of an SVG element with presentation attributes instead of a style, and with `MARK` in front of all
+    identifiers.
+    """
     element = STYLE.sub(lambda style: _as_attributes(style[1]), element)
     element = re.sub(r"(\.\d\d)\d+", r"\1", element).replace("#000000", "currentColor").replace("xlink:href", "href")
     return re.sub(r'(#| id=")(?=[mpC][0-9a-f_]{9,})', rf"\1{MARK}", element)

@@ -1,4 +1,6 @@
-"""Tables and sentences for readers: short, aligned and in one notation. The data in CSV and JSON output are not changed."""
+"""Conversion of tables and sentences to a form for readers: short, aligned and in a uniform notation. The data in CSV and JSON
+output are not changed.
+"""
 
 import csv
 import re
@@ -37,10 +39,10 @@ class Reading:
 
     Attributes:
         headings: headings of the columns whose cells differ between rows.
-        rows: cells of these columns.
-        words: number of left-aligned columns.
-        same: columns whose cells are equal in all rows, as `heading: value`.
-        notes: repeated remarks, with their footnote marks.
+        rows: cells of the columns in `headings`.
+        words: number of columns with text, which are left-aligned.
+        same: texts `heading: value` for the columns whose cells are equal in all rows.
+        notes: remarks that occur in several rows, each with its footnote mark.
         folded: True if the table is so long that a page collapses it.
     """
 
@@ -144,7 +146,7 @@ def _with_footnotes(column: Sequence[str], marks: Iterable[str], notes: dict[str
 def align_numbers(column: Sequence[str]) -> list[str]:
     """Returns numbers that are padded with figure spaces, so that the decimal points are aligned.
 
-    A column with a word other than "-" is unchanged.
+    A column that contains a word other than "-" is not changed.
     """
     matches = [NUMBER.fullmatch(cell) for cell in column]
     if not any(matches) or not all(one or cell in ("-", "any", "") for one, cell in zip(matches, column, strict=True)):
@@ -177,7 +179,7 @@ def quoted_code(text: str) -> str:
 def page_text(text: str) -> str:
     """Returns a text as HTML. Text in backticks becomes a `code` element.
 
-    Lines may break in long names, which become `bdi` elements. Names that are written from right to left also become `bdi`
+    Long names become `bdi` elements, in which lines may break. Names that are written from right to left also become `bdi`
     elements, which isolate them from the text around them. Without `bdi` elements, such names would reverse the order of
     adjacent numbers and commas (Unicode Bidirectional Algorithm, UAX #9).
     """
@@ -215,7 +217,7 @@ def cut(text: str, room: float, size: float) -> str:
 
 
 def wrap_at_spaces(text: str, room: float, size: float) -> list[str]:
-    """Breaks a text at spaces into lines of at most the width `room`. Longer words are shortened."""
+    """Breaks a text at spaces into lines of at most the width `room`. A word that is wider than `room` is shortened."""
     lines = list[str]()
     for part in text.splitlines():
         lines.append("")

@@ -29,10 +29,10 @@ SEAT, ABOVE = (-62, -36), 66  # vertical positions of the mass of a seat, and he
 
 @dataclass(frozen=True)
 class Strut:
-    """A wheel with its suspension and its tyre.
+    """Strut of a sketch: a wheel with its suspension and its tyre.
 
     Attributes:
-        place: position along the view [m].
+        place: horizontal position of the wheel in the view [m].
         name: name of the wheel; empty for a single wheel.
         parts: springs, dampers and actuators between body and wheel, or between body and road.
         mass: symbol of the wheel's mass; empty if there is no wheel, and `parts` touch the road.
@@ -55,12 +55,12 @@ class Strut:
 
 @dataclass(frozen=True)
 class View:
-    """One view of a vehicle.
+    """One view of a vehicle, such as the view from the side.
 
     Attributes:
         struts: struts from left to right.
         body: symbols in the body, such as "m_s, I_y".
-        spans: distances shown below the road, each with both ends [m] and a symbol.
+        spans: distances that are shown below the road, each with the positions of its two ends [m] and a symbol.
         bar: symbol of an anti-roll bar; empty without a bar.
         computer: lines of text in the box of the computer; empty without a computer.
         seat: seat above the body, with the symbol of its mass; None without a seat.
@@ -75,7 +75,9 @@ class View:
 
     @property
     def middles(self) -> list[float]:
-        """Horizontal positions of the struts in the drawing, in proportion to their places, without overlap."""
+        """Horizontal positions of the struts in the drawing, proportional to their places, with a scale at which no struts
+        overlap.
+        """
         pairs = list(itertools.pairwise(self.struts))
         scale = max(((one.half + other.half + GAP) / (other.place - one.place) for one, other in pairs), default=0.0)
         first = self.struts[0]
@@ -94,7 +96,8 @@ class Sketch:
     Attributes:
         title: title of the sketch.
         views: views from top to bottom.
-        rows: symbol, meaning and value of each part of the vehicle, including parts that are not drawn. A symbol may be empty.
+        rows: a row for each part of the vehicle, drawn or not, with its symbol, meaning and value. The symbol of a part may be
+            empty.
     """
 
     title: str
@@ -103,7 +106,7 @@ class Sketch:
 
     @property
     def single(self) -> "tuple[Sketch, ...]":
-        """Every view as a separate sketch, so that they can be placed side by side if there is room."""
+        """Every view as a separate sketch, so that a page can place the sketches side by side if there is room."""
         return tuple(replace(self, views=(view,)) for view in self.views)
 
 
@@ -117,9 +120,9 @@ def sketch_svg(sketch: Sketch, road: Callable[[float], float] | None = None, alo
 
     Args:
         sketch: sketch to draw.
-        road: function from the place along the view [m] to the height of the road in the drawing, positive upwards; None for a
-            flat road.
-        alone: True for a separate file, with dark lines on white.
+        road: function from the horizontal position in the view [m] to the height of the road in the drawing, positive upwards;
+            None for a flat road.
+        alone: True for a sketch in a file of its own, with dark lines on white.
     """
     above = ABOVE * any(view.seat is not None for view in sketch.views)
     width, high = max(view.width for view in sketch.views) + AHEAD * (road is not None), GROUND + BELOW + above
@@ -212,7 +215,7 @@ def _box(across: tuple[float, float], down: tuple[float, float], *lines: str) ->
 
 
 def _letters(x: float, y: float, text: str, plain: bool = False) -> str:
-    """Returns a text centred at x. In a symbol, the part after the underscore is a subscript."""
+    """Returns a text centred at x. In a symbol, the characters after the underscore become a subscript."""
     if not plain and re.fullmatch(rf"{SYMBOL.pattern}(, {SYMBOL.pattern})*", text):
         text = SYMBOL.sub(_subscript, text)
     else:

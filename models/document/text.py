@@ -19,12 +19,12 @@ BEST = "*"  # this mark follows the best number in a column
 
 
 def names_text(names: Iterable[str]) -> str:
-    """Returns names of controllers for a sentence: `a`, `b` and `c`."""
+    """Returns the names of several controllers as a list for a sentence: `a`, `b` and `c`."""
     return join_words([as_name(name) for name in names])
 
 
 def join_words(words: list[str]) -> str:
-    """Returns words for a sentence: a, b and c."""
+    """Returns several words as a list for a sentence: a, b and c."""
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
@@ -51,8 +51,8 @@ def text_lines(document: Document, detail: Detail = "normal") -> list[str]:
 def screen_lines(document: Document, verbose: bool, others: Iterable[str] = ()) -> list[str]:
     """Returns the lines of a document at a level of detail that suits the terminal.
 
-    If `verbose`, all lines are returned. Otherwise, the function returns the normal lines, or the brief lines if a terminal has
-    no room for the normal lines.
+    If `verbose` is True, the function returns all lines. If `verbose` is False, it returns the normal lines, or the brief lines
+    if a terminal has no room for the normal lines.
 
     Args:
         document: document whose lines are returned.
@@ -69,8 +69,8 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
     """Returns the lines of a table for a terminal.
 
     If the table is too wide, headings are wrapped, and headings of columns with relative changes are shortened to "%". If
-    several rows have the same name, the name is on a separate line above these rows, which are indented. If the last column is
-    `NOTE`, its remarks are to the right of their rows or below them.
+    several rows have the same name, the name is on a separate line, and the rows are indented below the name. If the last
+    column is `NOTE`, the remarks in it are printed to the right of the rows or below the rows.
     """
     columns = [each for each in zip(one.headings, *one.rows, strict=True) if each[0] not in one.wide]
     remarks: Sequence[str] = ()
@@ -104,7 +104,7 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
 
 
 def _align_column(column: Sequence[str]) -> list[str]:
-    """Returns a column of numbers that are aligned even if the best numbers have a mark."""
+    """Returns a column of aligned numbers, in which a mark on the best numbers does not disturb the alignment."""
     heading, *numbers = column
     marked = any(cell.endswith(BEST) for cell in numbers)
     return [heading, *(f"{cell} " if marked and not cell.endswith(BEST) else cell for cell in numbers)]
@@ -134,7 +134,7 @@ def markdown(document: Document, level: int = 2) -> str:
 class ShownResult:
     """Base class of results that a Python prompt shows as text, and a notebook as HTML.
 
-    A dataclass of this type must set `repr=False`.
+    A dataclass that is derived from this class must set `repr=False`.
     """
 
     @property
@@ -161,5 +161,5 @@ class ShownResult:
 
 
 def facts(title: str, rows: Mapping[str, str]) -> Document:
-    """Returns a document with a line `name: text` for each fact. Empty facts are omitted."""
+    """Returns a document with a line `name: text` for each fact. A fact with an empty text is omitted."""
     return Document(title, notes(*(f"{name}: {text}" for name, text in rows.items() if text), detail="brief"))

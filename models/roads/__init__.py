@@ -1,1 +1,1 @@
-"""Roads and loads that excite a vehicle, with exact time derivatives."""
+"""Roads and loads that excite a vehicle; the time derivatives of roads are exact."""

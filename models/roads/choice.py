@@ -28,11 +28,11 @@ RPC = "; RPC III files (.rsp, .drv) cannot be read, so export their channels as 
 
 @dataclass(frozen=True, eq=False)
 class RoadChoice:
-    """Chosen road, before speed, seed and vehicle are known.
+    """Road that a user has chosen, before speed, seed and vehicle are known.
 
     Attributes:
-        text: text by which the road was chosen.
-        road: the road at its default speed; for an OpenCRG file, its surface.
+        text: text with which the user chose the road.
+        road: the road at its default speed; for an OpenCRG file, the surface in the file.
         loads: loads on the body, in addition to the road.
     """
 
@@ -47,9 +47,9 @@ class RoadChoice:
 
     @property
     def stationary(self) -> bool:
-        """True if the response becomes stationary.
+        """True if the vehicle's response to the road becomes stationary.
 
-        For these roads, measurement starts after the transient response has decayed.
+        If the response becomes stationary, measurement starts after the transient response has decayed.
         """
         return self.random and not self.loads
 
@@ -59,19 +59,19 @@ class RoadChoice:
         return self.road if isinstance(self.road, Profile) else None
 
     def build(self, vehicle: Vehicle, speed: float, seed: int, distance: float) -> Road:
-        """Returns the road for a vehicle.
+        """Returns the chosen road as driven by a vehicle.
 
         Args:
-            vehicle: the vehicle; a road with two tracks needs its track width.
+            vehicle: the vehicle that drives on the road; a road with two tracks needs the vehicle's track width.
             speed: vehicle speed [m/s].
             seed: seed of a random road.
-            distance: driven distance [m], over which a random road does not repeat.
+            distance: driven distance [m]; a random road does not repeat within this distance.
 
         Returns:
-            The road, including its loads.
+            The road with its loads on the body.
 
         Raises:
-            InputError: a number is not allowed.
+            InputError: a number of the road, such as its height or speed, is not allowed.
         """
         road = self.road
         if isinstance(road, Iso8608):
@@ -87,12 +87,13 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     """Reads a road from a text, such as "bump:height=0.05" or "road.csv".
 
     Args:
-        text: name of a road with numbers, or name of a file. Loads follow after " + ". Examples: `iso8608:class=C`,
+        text: name of a road and its numbers, or name of a file. Loads follow after " + ". Examples: `iso8608:class=C`,
             `profile.csv`, `rig:file=drive.csv`, `bump + brake:g=0.3`.
         folder: folder to which file names are relative.
 
     Returns:
-        The chosen road. The method `build` of the result returns a `Road` for a vehicle, a speed, a seed and a distance.
+        The chosen road. The method `build` of the returned object returns a `Road` for a vehicle, a speed, a seed and a
+        distance.
 
     Raises:
         InputError: the name of a road or of a number is unknown, a value is not allowed, or a file is not a profile.
@@ -122,7 +123,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
 
 
 def _unread(text: str, folder: Path) -> str:
-    """Returns a message if a text is the name of an existing file that cannot be read; otherwise an empty text."""
+    """Returns an error message if a text is the name of an existing file that cannot be read; empty otherwise."""
     path = path_from(text, folder)
     if not path.exists():
         path = path_from(re.sub(r"(:\w+=[^:]*)+$", "", text), folder)

@@ -1,4 +1,4 @@
-"""Descriptions of roads as tables, as in logs and in files of the gallery.
+"""Tables that describe roads, in logs and in files of the gallery.
 
 The key `type` gives the class of a road; the other keys are its fields.
 """
@@ -29,7 +29,7 @@ def read_road(where: str, table: Mapping[str, Any]) -> DescribedRoad:
     """Returns the road that a table describes.
 
     Args:
-        where: place of the table, for messages.
+        where: place of the table in the file, for messages.
         table: the table, with the key `type`.
 
     Raises:
@@ -44,14 +44,14 @@ def read_road(where: str, table: Mapping[str, Any]) -> DescribedRoad:
 
 
 def described_road(description: Mapping[str, Any], points: bytes | None = None) -> Road:
-    """Returns the road that a description specifies. This is the inverse of `Road.describe`.
+    """Returns the road that a description specifies. The function is the inverse of `Road.describe`.
 
     Args:
         description: result of `Road.describe`, possibly after conversion to JSON and back.
         points: text `Road.points` of a profile or rig; None for other roads.
 
     Raises:
-        InputError: the description does not belong to a road, or is not complete.
+        InputError: the description is not that of a road, or is not complete.
     """
     kind, where = description.get("type"), f"road {description.get('type')}:"
     if "loads" in description:

@@ -7,18 +7,18 @@ over 250 mm, so the slope is constant between samples:
 
     s_i = (h_(i+b) - h_i) / (b step),    b step = 250 mm, b at least 1.
 
-The car starts in steady motion along the mean slope of the first 11 m. The IRI is the mean rectified slope of the car's
-suspension, |z_s' - z_u'| / V. For slopes that are constant between samples, the state transition is exact. The transition is
-computed in the modal coordinates of the car.
+The car starts in steady motion along the mean slope of the first 11 m. The IRI is the mean of the magnitude of the suspension
+slope, |z_s' - z_u'| / V, where V is the speed. Because the slope is constant between samples, the state transition is exact.
+The transition is computed in the modal coordinates of the car.
 
-A profile with evenly spaced points is used unchanged; any other road is sampled every 25 mm. A vehicle with two tracks has an
-IRI for each track, `left` and `right`. The value `mean` is the mean of both tracks' IRIs (MRI). The value `half_car` is the IRI
-of the mean of both profiles (HRI), which does not contain the warp of the road. Names: M. W. Sayers and S. M. Karamihas (1998),
-"The little book of profiling", UMTRI.
+A profile with evenly spaced points is used unchanged; a road without such points is sampled every 25 mm. A vehicle with two
+tracks has an IRI for each track, `left` and `right`. The value `mean` is the mean of both tracks' IRIs (MRI). The value
+`half_car` is the IRI of the mean of both profiles (HRI), which does not contain the warp of the road. Names: M. W. Sayers and
+S. M. Karamihas (1998), "The little book of profiling", UMTRI.
 
-On a random road, the response y of the car is Gaussian with the variance s^2, so E|y| = sqrt(2/pi) s. If rho is the correlation
-of the responses y and y' at two places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). This covariance
-determines by how much the IRI over a distance differs between random roads (its standard deviation).
+On a random road, the response y of the car is Gaussian with the variance s^2, so the mean of |y| is sqrt(2/pi) s. If rho is the
+correlation of the responses y and y' at two places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). The
+covariance of |y| at two places determines the standard deviation of the IRI among random roads of the same length.
 """
 
 import math
@@ -66,7 +66,8 @@ def roughness_index(heights: Array, step: float) -> float:
 
 
 def suspension_slopes(heights: Array, step: float) -> Array:
-    """Returns the suspension slope (z_s' - z_u') / V after every sample [-], shape (P - b,), for an average over b samples.
+    """Returns the suspension slope (z_s' - z_u') / V after every sample [-], shape (P - b,), if the tyre averages the heights
+    over b samples.
 
     Args:
         heights: heights of one track [m], shape (P,).
@@ -96,20 +97,20 @@ def slope_response(n: Array, step: float) -> Array:
 
 
 def missing(lines: Array, variances: Array) -> Array:
-    """Returns the deficit of the rms of `suspension_slopes` after the start: how much it is below its final value, accumulated
-    over the distance.
+    """Returns how far the rms of `suspension_slopes` is below its final value after the start (the deficit), accumulated over
+    the distance.
 
-    The deficit is relative to the final value, and is given every 250 mm. The response to a sinusoid is the steady-state
-    response plus a transient in each mode of the car. Sinusoids and places are evenly spaced, so the sum of the products of
-    steady-state response and transient over all sinusoids is a Fourier transform.
+    The deficit is relative to the final value of the rms, and is given every 250 mm. The response to a sinusoid is the
+    steady-state response plus a transient in each mode of the car. Sinusoids and places are evenly spaced, so the sum of the
+    products of steady-state response and transient over all sinusoids is a Fourier transform.
 
     Args:
         lines: spatial frequencies of a random road in multiples of 1 / `COUNTED_LINES` cycle/m, ascending positive integers,
             shape (F,).
-        variances: variance of the road's slope at each frequency, shape (F,).
+        variances: variance of the road's slope at each spatial frequency, shape (F,).
 
     Returns:
-        Accumulated deficit [m], one value every 250 mm.
+        Accumulated deficit of the rms [m], with one value every 250 mm.
     """
     rates, of_slopes, of_start = _modes(STEP)
     base, first, way = _samples(STEP), round(START / STEP), 2j * np.pi * lines / COUNTED_LINES
@@ -135,16 +136,17 @@ def missing(lines: Array, variances: Array) -> Array:
 
 
 def _samples(step: float) -> int:
-    """Returns the number of samples in the moving average."""
+    """Returns the number of samples over which the moving average is taken."""
     return max(round(BASE / step), 1)
 
 
 @lru_cache(maxsize=16)
 def _modes(step: float) -> tuple[Array, Array, Array]:
-    """Returns the modes of the car for samples with the distance `step`.
+    """Returns the modes of the golden car for a profile that is sampled every `step` metres.
 
     Returns:
-        Rate of each mode per sample, and the factors of the mode in the response to a slope and in the response to the start.
+        Rate of each mode per sample, and the mode's factors in the response to a slope and in the response to the initial
+        state.
     """
     values, vectors = np.linalg.eig(A)
     time = step / SPEED
@@ -155,9 +157,10 @@ def _modes(step: float) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=4)
 def _answers(step: float, count: int) -> tuple[Array, Array, int]:
-    """Returns the Fourier transform of the response to a slope, the response to the start, and the size of the transform.
+    """Returns the Fourier transform of the response to a slope, the response to the initial state, and the length of the
+    transform.
 
-    The response to the start is truncated at `FORGOTTEN`. This response begins before the first sample. The result is cached,
+    The response to the initial state begins before the first sample, and is truncated at `FORGOTTEN`. The result is cached,
     because a campaign needs it for every road.
     """
     rates, of_slopes, of_start = _modes(step)
@@ -190,9 +193,10 @@ class Roughness:
 
     Attributes:
         name: name of the track, `left` or `right`; or `mean` or `half_car` for both tracks.
-        iri: roughness index of this road [m/km].
-        expected: mean over all roads with the same spectrum [m/km]; None for a road without a spectrum.
-        spread: standard deviation over these roads [m/km]; None for a road without a spectrum.
+        iri: roughness index of the road [m/km].
+        expected: mean of the IRI over all roads with the spectrum of this road [m/km]; None for a road without a spectrum.
+        spread: standard deviation of the IRI over all roads with the spectrum of this road [m/km]; None for a road without a
+            spectrum.
     """
 
     name: str
@@ -202,12 +206,12 @@ class Roughness:
 
 
 def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughness, ...]:
-    """Returns every IRI of a road over a distance.
+    """Returns every IRI of a road over a driven distance: that of each track, and those of both tracks together.
 
-    The list is empty if the road is too short, if the points of a profile are too far apart, or for a rig.
+    The list is empty for a rig, if the road is too short, or if the points of a profile are too far apart.
 
     Args:
-        road: the road; a measured profile ends at its last point.
+        road: the road over which the car drives; a measured profile ends at its last point.
         vehicle: the vehicle, whose track width determines the tracks.
         distance: driven distance [m].
     """
@@ -229,7 +233,7 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
 
 
 def why_none(road: Road) -> str:
-    """Returns a note if a road from a file has no IRI because its points are too far apart; empty for other roads."""
+    """Returns a note if a road from a file has no IRI because its points are too far apart; empty otherwise."""
     profile = _without_loads(road)
     step = float(np.median(np.diff(profile.distance))) if isinstance(profile, Profile) else 0.0
     coarse = f"no iri: the road's points are {step:.3g} m apart, but ASTM E1926 allows at most {COARSEST:g} m"
@@ -237,18 +241,18 @@ def why_none(road: Road) -> str:
 
 
 def _without_loads(road: Road) -> Road:
-    """Returns a measured road without its loads. Other roads are returned unchanged."""
+    """Returns a measured road without its loads. A road that is not measured is returned unchanged."""
     felt = road.from_start
     return felt.road if isinstance(felt, Departure) else road
 
 
 def slope_density(iri: float, low: float, high: float, waviness: float) -> float:
-    """Returns the one-sided density of the slope at `N0` [m/cycle], for a random road with a given mean IRI.
+    """Returns the one-sided spectral density of the slope at `N0` [m/cycle] for a random road with a given mean IRI.
 
     Args:
         iri: mean roughness index [m/km].
-        low: lower end of the band [cycle/m].
-        high: upper end of the band [cycle/m].
+        low: lower end of the road's frequency band [cycle/m].
+        high: upper end of the road's frequency band [cycle/m].
         waviness: exponent of the road spectrum; for the exponent 2, the slope is white noise.
     """
     return math.pi / 2 * (iri / 1e3) ** 2 / _unit_variance(low, high, waviness)
@@ -256,14 +260,18 @@ def slope_density(iri: float, low: float, high: float, waviness: float) -> float
 
 @lru_cache(maxsize=16)
 def _unit_variance(low: float, high: float, waviness: float) -> float:
-    """Returns the variance of the car's response to a road slope, divided by the slope's density at `N0` [cycle/m]."""
+    """Returns the variance of the car's response to a random road, divided by the spectral density of the road's slope at `N0`
+    [cycle/m].
+    """
     count = math.ceil((high - low) * LINES)
     n = low + (np.arange(count) + 0.5) * (high - low) / count
     return float(np.sum(np.abs(slope_response(n, STEP)) ** 2 * slope_power(n, waviness))) * (high - low) / count
 
 
 def _sample_tracks(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float, Array]:
-    """Returns the spacing of samples [m], and the heights of a road's tracks [m], shape (P, tracks)."""
+    """Returns the distance between samples of a road [m], and the heights of the road's tracks at the samples [m], shape (P,
+    tracks).
+    """
     if isinstance(road, Profile):
         spacing = np.diff(road.distance)
         step = float(np.median(spacing))
@@ -280,10 +288,11 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
     """Returns mean and standard deviation of the named IRIs over all roads that have the given spectrum, for a driven distance
     [m].
 
-    Unlike a Gaussian signal, a road has sinusoids with fixed amplitudes, so the mean square over its whole length is known. On
-    the left track, this mean square is the same for all roads. On the right track, the share 2 a^2 (1 - a^2) of a sinusoid's
-    mean square varies, where a is the coherency of the tracks. The known share reduces the term with rho^2 in cov(|y|, |y'|),
-    which depends only on y^2. The terms with higher powers of rho remain, because they differ between roads.
+    The sinusoids of a road have fixed amplitudes, unlike those of a Gaussian signal, so the mean square over the road's whole
+    length is known. On the left track, the mean square of every sinusoid is the same for all roads. On the right track, the
+    share 2 a^2 (1 - a^2) of a sinusoid's mean square varies, where a is the coherency of the tracks. The known share reduces
+    the term with rho^2 in cov(|y|, |y'|), which depends only on y^2. The terms with higher powers of rho remain, because they
+    differ between roads.
     """
     low, high = (edge / (2 * math.pi * spectrum.speed) for edge in spectrum.band)
     length = min(spectrum.length, GRAIN)
@@ -302,8 +311,8 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
         """Returns mean and standard deviation, among random roads, of the mean IRI of two responses of the car.
 
         Args:
-            own: spectrum of each response; both responses have the same spectrum.
-            other: cross-spectrum of the two responses; `own` for a single response.
+            own: spectrum of the first response, which is also that of the second response.
+            other: cross-spectrum of the two responses; equal to `own` if there is only one response.
             free: share of each sinusoid's mean square that varies between roads.
         """
         variance, of_squares, of_more = float(own.sum()), 0.0, 0.0

@@ -4,13 +4,15 @@ The vertical displacement of a road has the one-sided power spectral density
 
     G_d(n) = G_d(n0) (n / n0)^-w,    n0 = 0.1 cycle/m,    G_d(n0) = 16e-6, 64e-6, ..., 4^i 16e-6 m^3 for A, B, ..., H.
 
-These values are the geometric means of the classes. The limits of a class are half and twice its mean; A/B denotes the limit
-between A and B. The waviness w is 2 in the standard. Instead of a class, G_d(n0) itself or the International Roughness Index
-(IRI) may be given. If the IRI is given, G_d(n0) is that of roads with this mean IRI.
+The values of G_d(n0) are the geometric means of the classes. The limits of a class are half and twice its geometric mean; A/B
+denotes the limit between the classes A and B. The waviness w is 2 in the standard. Instead of a class, G_d(n0) itself or the
+International Roughness Index (IRI) may be given. If the IRI is given, G_d(n0) has the value at which the mean IRI of the roads
+is the given IRI.
 
 A road is a sum of sinusoids with the frequencies n_k = k / length, the amplitudes sqrt(2 G_d(n_k) / length) and random phases.
-By default, the band is 0.01 to 10 cycle/m; the standard reports 0.011 to 2.83 cycle/m. Sinusoids below the band would be hills.
-Above the band, waves are shorter than the contact patch of a tyre and do not reach the wheel. The road repeats after `length`.
+By default, the frequency band of a road is 0.01 to 10 cycle/m; the band of the standard is 0.011 to 2.83 cycle/m. Sinusoids
+with frequencies below the band would be hills. Waves with frequencies above the band are shorter than the contact patch of a
+tyre, so they do not move the wheel. The road repeats after `length`.
 
 The standard does not define the coherence of two tracks. This module uses the coherence of an isotropic surface, which the
 spectrum of one track determines (C. J. Dodds and J. D. Robson (1973), J. Sound Vib. 31, 175-183; K. M. A. Kamash and J. D.
@@ -19,8 +21,8 @@ surface spectrum (n^2 + m^2)^(-(w+1)/2) times cos(2 pi m b). It follows that
 
     coherency(n) = 2 (x/2)^(w/2) K_{w/2}(x) / Gamma(w/2) = x K_1(x) for w = 2,    x = 2 pi n b.
 
-The coherency is real, 1 for long waves and 0 for short waves. For each sinusoid, the right track is the coherency times the
-left track, plus a share of an independent track.
+The coherency is a real number, which is 1 for long waves and 0 for short waves. Each sinusoid of the right track is the
+coherency times the sinusoid of the left track, plus a share of an independent sinusoid.
 """
 
 import itertools
@@ -70,8 +72,8 @@ def roughness_by_iri(iri: float, lowest: float = LOWEST, highest: float = HIGHES
 
     Args:
         iri: mean IRI [m/km].
-        lowest: lower end of the band [cycle/m].
-        highest: upper end of the band [cycle/m].
+        lowest: lower end of the road's frequency band [cycle/m].
+        highest: upper end of the road's frequency band [cycle/m].
         waviness: exponent w of the road spectrum.
 
     Raises:
@@ -84,10 +86,10 @@ def roughness_by_iri(iri: float, lowest: float = LOWEST, highest: float = HIGHES
 class Iso8608(Section, Road):
     """Random road of ISO 8608, with a roughness class, an IRI or a spectral density.
 
-    The same seed and length give the same road on every machine, except for rounding errors of the sines. The phases are the
+    Roads with equal seeds and lengths are equal on every machine, except for rounding errors of the sines. The phases are the
     raw output of the Philox generator, which NumPy does not change between versions. At time 0, the first wheel reaches the
     road. The flat ground before the road has the same height as the beginning of the road. At time 0, the road velocity jumps,
-    as for a vehicle that starts in equilibrium and then meets white noise.
+    as if the vehicle started in equilibrium and were then excited by white noise.
 
     Raises:
         InputError: the class is unknown, the band contains too few sinusoids, or another number is out of its range. The error
@@ -137,7 +139,9 @@ class Iso8608(Section, Road):
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns a table as fields of the class: `class` becomes `road_class` (default C), and `band` becomes its two ends."""
+        """Converts the keys of a table to fields of the class: `class` to `road_class` (default C), and `band` to the two ends
+        of the band.
+        """
         fields = {name: value for name, value in given.items() if name not in ("class", "band", "roughness")}
         if "road_class" not in given:
             fields["road_class"] = given.get("class", "" if {"iri", "gd"} & given.keys() else "C")
@@ -151,17 +155,17 @@ class Iso8608(Section, Road):
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the sum of the sinusoids minus their sum at the start [m].
 
-        A vehicle with one track drives on the left track.
+        A vehicle with one track drives on the left track of the road.
         """
         return np.where(t >= 0, self._sum(side, False, t) - np.real(self._lines(side, False)).sum(), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the sum of the exact derivatives of the sinusoids [m/s]."""
+        """Returns the sum of the exact time derivatives of the sinusoids [m/s]."""
         return np.where(t >= 0, self._sum(side, True, t), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Time at which the road begins [s]."""
+        """Time at which the random road begins [s]."""
         return (0.0,)
 
     def describe(self) -> dict[str, float | str]:
@@ -182,7 +186,7 @@ class Iso8608(Section, Road):
 
     @property
     def words(self) -> str:
-        """Properties in which random roads differ: class, IRI or G_d(n0), then seed and speed."""
+        """Properties that distinguish random roads: class, IRI or G_d(n0), then seed and speed."""
         which = f"class {self.road_class}" if self.iri is None else f"IRI {self.iri:g} m/km"
         which = which if self.gd is None else f"G_d(n0) {self.gd:g} m3"
         which += f", waviness {self.waviness:g}" if self.waviness != 2 else ""
@@ -204,7 +208,7 @@ class Iso8608(Section, Road):
 
     @property
     def _rough(self) -> dict[str, float | str | None]:
-        """The three possible measures of roughness, by name. Only one of the three has a value."""
+        """The three possible measures of roughness, by name. Only one of the three measures has a value."""
         return {"class": self.road_class or None, "iri": self.iri, "gd": self.gd}
 
     @property
@@ -214,27 +218,27 @@ class Iso8608(Section, Road):
 
     @property
     def band(self) -> tuple[float, float]:
-        """Band that the sinusoids represent [cycle/m].
+        """Frequency band that the sinusoids represent [cycle/m].
 
-        The band extends beyond the first and the last frequency by half of the spacing.
+        The band extends beyond the first and the last frequency by half of the spacing between frequencies.
         """
         return float(self.n[0]) - 0.5 / self.length, float(self.n[-1]) + 0.5 / self.length
 
     @property
     def spectrum(self) -> Spectrum:
-        """Spectrum of the road at its speed."""
+        """Spectrum of the road when it is driven at the speed `speed`."""
         low, high = (2 * np.pi * self.speed * n for n in self.band)
         density = (2 * np.pi * N0) ** 2 * self.roughness * self.factor**2 * self.speed
         return Spectrum(density, (low, high), self.speed, self.length, self.track_width, self.waviness)
 
     @cached_property
     def _left(self) -> Array:
-        """exp(i phase) of every sinusoid on the left track, shape (K,)."""
+        """Phase factor exp(i phase) of every sinusoid on the left track, shape (K,)."""
         return self._phasors(0)
 
     @cached_property
     def _other(self) -> Array:
-        """exp(i phase) of every sinusoid in the independent share of the right track, shape (K,)."""
+        """Phase factor exp(i phase) of every sinusoid in the independent share of the right track, shape (K,)."""
         return self._phasors(1)
 
     def _phasors(self, track: int) -> Array:
@@ -271,7 +275,7 @@ class Iso8608(Section, Road):
 
 
 def long_enough(distance: float) -> float:
-    """Returns the length [m] that a road needs so that it does not repeat within the given distance [m]."""
+    """Returns the length [m] that a road must have if it is not to repeat within the driven distance [m]."""
     return LENGTH * 2 ** max(0, math.ceil(math.log2(distance / LENGTH))) if distance > 0 else LENGTH
 
 
@@ -306,8 +310,8 @@ def _chirp_transform(lines: int, times: int, turn: float) -> Callable[[Array], A
     """Returns a function that computes the sum over k of x_k exp(-2 pi i k turn j) for j = 0, ..., T - 1.
 
     The function maps K amplitudes, shape (K,), to T values, shape (T,). The function is a chirp z-transform. Because 2 k j =
-    k^2 + j^2 - (j - k)^2, the sum becomes a convolution of length K + T, which takes as long as an FFT. `scipy.signal.ZoomFFT`
-    gives the same numbers bit for bit, but its import takes 0.5 s.
+    k^2 + j^2 - (j - k)^2, the sum becomes a convolution of length K + T, which FFTs compute fast. `scipy.signal.ZoomFFT` gives
+    the same numbers bit for bit, but its import takes 0.5 s.
     """
     k = np.arange(max(lines, times), dtype=np.int64)
     scale = turn * (times - 1) * times / (times - 1)

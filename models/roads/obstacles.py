@@ -1,4 +1,4 @@
-"""Single obstacles, each defined by one formula, and the table of all roads that a name and numbers define."""
+"""Single obstacles, each defined by one formula, and the table of all roads that are defined by a name and numbers."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -20,8 +20,8 @@ AT_ONCE = 1e-9
 class WattsHump(Obstacle):
     """Speed hump of Watts: a circular arc. The slope of the hump jumps at both ends.
 
-    Source: G. R. Watts (1973), "Road humps for the control of vehicle speeds", TRRL report LR 597. The humps of the report are
-    3.7 m long and 25 to 100 mm high.
+    Source: G. R. Watts (1973), "Road humps for the control of vehicle speeds", TRRL report LR 597. The humps in the report of
+        Watts are 3.7 m long and 25 to 100 mm high.
 
     Raises:
         InputError: a number is out of its range, or the arc is longer than half a circle.
@@ -72,10 +72,11 @@ class WattsHump(Obstacle):
 
 @dataclass(frozen=True)
 class Step(Obstacle):
-    """Kerb, up or down: rounded as half a period of a cosine, or vertical.
+    """Kerb, up or down; its edge is vertical, or rounded as half a period of a cosine.
 
-    No real tyre follows a vertical edge, but formulas often assume one. At a vertical edge, the height jumps. In the linear
-    response, the road velocity is an impulse at this edge. In MuJoCo, the height changes between two time steps.
+    No real tyre follows a vertical edge, but formulas often assume a vertical edge. At a vertical edge, the height of the road
+    jumps. In linear analysis, the road velocity at a vertical edge is an impulse. In MuJoCo, the height at a vertical edge
+    changes between two time steps.
 
     Raises:
         InputError: a number is out of its range, or the edge is not vertical (0) but shorter than the smallest allowed length.
@@ -94,7 +95,7 @@ class Step(Obstacle):
 
     @property
     def rise(self) -> float:
-        """Time that a wheel spends on the edge [s]."""
+        """Time that a wheel needs to pass the edge [s]."""
         return self.edge / self.speed
 
     @property
@@ -103,13 +104,13 @@ class Step(Obstacle):
         return self.start + self.rise
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of the edge and then of the step [m], which is equal for left and right wheels."""
+        """Returns the height of the road [m] on the edge and behind the edge, which is equal for left and right wheels."""
         if not self.edge:
             return np.where(np.asarray(t) > self.start + AT_ONCE, self.height, 0.0)
         return self.height / 2 * (1 - np.cos(np.pi * np.clip((t - self.start) / self.rise, 0, 1)))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative [m/s], without the impulse of a vertical edge."""
+        """Returns the time derivative of the height [m/s], without the impulse of a vertical edge."""
         if not self.edge:
             return np.zeros(np.shape(t))
         return self.height * np.pi / (2 * self.rise) * np.sin(np.pi * np.clip((t - self.start) / self.rise, 0, 1))
@@ -121,17 +122,17 @@ class Step(Obstacle):
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:
-        """Time [s] and height [m] of the edge, if the edge is vertical."""
+        """Time [s] at which the first wheel reaches a vertical edge, and height of the edge [m]; empty for a rounded edge."""
         return () if self.edge else ((self.start, self.height),)
 
     def describe(self) -> dict[str, float | str]:
-        """Returns the height, edge and speed, and also the start if it is not 0."""
+        """Returns a description with height, edge and speed, and also with the start if the start is not 0."""
         return {"type": "step", **{name: value for name, value in asdict(self).items() if name != "start" or value}}
 
 
 @dataclass(frozen=True)
 class Pothole(Obstacle):
-    """Pothole: a step down and a step up again, under one side or both.
+    """Pothole: a step down and a step up again, under the wheels of one side or of both sides.
 
     Raises:
         InputError: a number is out of its range, or the edges are longer than the pothole.
@@ -155,7 +156,7 @@ class Pothole(Obstacle):
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of the road [m], the sum of both steps."""
+        """Returns the height of the road [m], which is the sum of the two steps of the pothole."""
         down, up = self._edges
         return self._under(side) * (down.displacement(t) + up.displacement(t - self.duration + up.duration))
 
@@ -200,14 +201,14 @@ class Flat(Obstacle):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Empty, because the road has no kinks."""
+        """Empty, because a flat road has no kinks."""
         return ()
 
 
 def _check_half(road: WattsHump | Pothole, other: str, low: float, least: str) -> None:
-    """Checks that a number is at most half of the length.
+    """Checks that a number, such as the height, is at most half of the obstacle's length.
 
-    If the number has its default value, the message is about the length.
+    If the number has its default value, the error message is about the length instead.
     """
     usual, value = getattr(type(road), other), getattr(road, other)
     if value == usual and road.length < 2 * usual:

@@ -42,7 +42,7 @@ class Surface:
             start: distance at which the road starts [m].
 
         Raises:
-            InputError: the surface does not contain this distance.
+            InputError: the surface does not contain the distance `start`.
         """
         u, z = begun_at(start, self.u, self.z)
         return replace(self, u=u, z=z)
@@ -73,7 +73,7 @@ class Surface:
 
 
 def read_surface(path: Path) -> Surface:
-    """Reads the surface of an OpenCRG file. The file may refer to another file that contains the data.
+    """Reads the surface of an OpenCRG file. The OpenCRG file may refer to a second file, which contains the heights.
 
     Raises:
         InputError: PyOpenCRG is not installed, the file is not an OpenCRG file, or the file is incomplete.
@@ -100,14 +100,15 @@ def read_surface(path: Path) -> Surface:
 
 
 def _check_whole(header: str, u: Array, width: int, channels: int, last: int) -> None:
-    """Raises InputError if the file is incomplete. PyOpenCRG may read such a file as a shorter or stretched road.
+    """Raises InputError if the OpenCRG file is incomplete. PyOpenCRG may read an incomplete file as a shorter or stretched
+    road.
 
     Args:
-        header: text of the header: its entries, and the definitions of channels whose values are not in the data.
+        header: text of the file's header, with entries and with definitions of channels whose values are not in the data.
         u: distance of each cross-section [m].
         width: number of characters per number; 0 for binary files.
         channels: number of values per cross-section.
-        last: number of characters in the last line.
+        last: number of characters in the last line of the file.
     """
     if last < (expected := ((channels - 1) % (LINE // max(width, 1)) + 1) * width):
         raise InputError(f"the file is incomplete: its last line has {last} characters, not {expected}; give the whole file")
@@ -120,7 +121,7 @@ def _check_whole(header: str, u: Array, width: int, channels: int, last: int) ->
 def _reason(error: Exception, path: Path) -> str:
     """Returns the message of PyOpenCRG on one line.
 
-    The first line of the message may be empty, and followed by a list of errors.
+    The first line of PyOpenCRG's message may be empty, and a list of errors may follow.
     """
     report = getattr(error, "report", None)
     if report is not None:

@@ -1,4 +1,4 @@
-"""Measured roads: heights over distance, joined by straight lines or by a spline."""
+"""Measured roads: points of height against distance, joined by straight lines or by a spline."""
 
 import io
 from collections.abc import Callable
@@ -37,15 +37,16 @@ Join = Annotated[str, Choice("how points are joined", JOINS)]
 
 @dataclass(frozen=True, eq=False)
 class Profile(MeasuredRoad):
-    """Measured road: heights over distance, joined by straight lines (ASTM E1926) or by a cubic spline.
+    """Measured road: points of height against distance, joined by straight lines (ASTM E1926) or by a cubic spline.
 
-    Before the first point, the road is the plane on which the vehicle starts. The plane contains the first heights and has the
-    mean slope of the first 11 m of both tracks. For a vehicle with one track, the slope is that of the track on which it
-    drives. After the last point, the road continues with the slope of the last 11 m.
+    Before the first point, the road is the plane on which the vehicle starts. The plane passes through the first heights, and
+    its slope is the mean slope of the first 11 m of both tracks. For a vehicle with one track, the slope is that of the track
+    on which the vehicle drives. After the last point, the road continues with the slope of the last 11 m.
 
     Attributes:
         distance: distances of the points [m], ascending, shape (P,).
-        heights: heights of the left and the right track [m], shape (P, 2). A vehicle with one track drives on the left track.
+        heights: heights of the left and the right track [m], shape (P, 2). A vehicle with one track drives on the left track of
+            the road.
         speed: vehicle speed V [m/s].
         source: name of the file.
         join: "straight" to join the points by lines, or "smooth" to join them by a cubic spline.
@@ -84,7 +85,7 @@ class Profile(MeasuredRoad):
             )
 
     def remark(self, length: float) -> str:
-        """Returns remarks about the columns of the file, the widest gap, and improbable heights.
+        """Returns remarks about the columns of the file, about the widest gap between points, and about improbable heights.
 
         Args:
             length: driven length [m].
@@ -151,7 +152,7 @@ class Profile(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """All points as the text of a CSV file with exact numbers: distance, left, right [m]."""
+        """All points as the text of a CSV file with exact numbers: distance, left height and right height [m]."""
         rows = np.column_stack([self.distance, self.heights]).tolist()
         return ("distance,left,right\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
@@ -236,7 +237,7 @@ class Profile(MeasuredRoad):
 
 
 def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Array]:
-    """Returns the points of a road after a distance, preceded by an interpolated point at this distance.
+    """Returns the part of a road's points that follows a distance, preceded by an interpolated point at this distance.
 
     Args:
         start: distance at which the road starts [m].
@@ -244,7 +245,7 @@ def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Arra
         heights: heights of the points [m], shape (P, K).
 
     Raises:
-        InputError: the road does not contain this distance.
+        InputError: the road does not contain the distance `start`.
     """
     rest = distance > start
     if not distance[0] <= start < distance[-1]:
@@ -287,7 +288,7 @@ def check_ascending(
         smooth: True for a spline.
 
     Raises:
-        InputError: the points do not satisfy these conditions.
+        InputError: there are too few points, a point is not finite or not ascending, or a spline has a gap.
     """
     fewest = FEWEST if smooth else 2
     if len(x) < fewest:
@@ -315,7 +316,7 @@ def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
     """Returns the profile that a text from `Profile.points` contains, with exact numbers.
 
     Raises:
-        InputError: the content is not valid.
+        InputError: the content of the text is not valid.
     """
     names, table = read_points(content, "road")
     if len(names) != 3:
@@ -327,7 +328,7 @@ def read_points(content: bytes, what: str) -> tuple[list[str], Array]:
     """Returns the column names and the exact numbers in the text `Road.points`.
 
     Raises:
-        InputError: the content is not valid.
+        InputError: the content of the text is not valid.
     """
     head, _, rest = content.partition(b"\n")
     if rest.count(b"\n") < 2:

@@ -1,15 +1,15 @@
-"""Measured roads from files: columns of distance and height in many formats, or heights at a constant step.
+"""Reading of measured roads from files: columns of distance and height in many formats, or heights at a constant step.
 
 ERD is the format of the University of Michigan Transportation Research Institute. LTPP and ProVAL use ERD files to exchange
 profiles. An ERD file has a header of keywords, then heights at a constant step, for one or two tracks.
 
 RDF files contain roads for tyre models in Adams and MotionView. RDF files of the type `poly_line` have a table of the distance
-and of the heights of the left and right track. On these roads, vehicles start at distance 0, which is not always the first
-distance in the table.
+and of the heights of the left and right track. On `poly_line` roads, vehicles start at distance 0, which is not always the
+first distance in the table.
 
-Surveys have two horizontal coordinates of each point, on a map or as latitude and longitude, in driving order. The distance is
-the length of the path in the horizontal plane. Steps in degrees are converted to metres with the radii of curvature of the
-ellipsoid WGS 84 (NIMA TR8350.2, 2000) at the latitude of the step.
+Surveys have two horizontal coordinates of each point, on a map or as latitude and longitude, in driving order. The distance of
+a point is the length of the path to this point in the horizontal plane. Steps in degrees are converted to metres with the radii
+of curvature of the ellipsoid WGS 84 (NIMA TR8350.2, 2000) at the latitude of the step.
 """
 
 import itertools
@@ -105,7 +105,7 @@ def read_profile(path: Path, speed: float, given: TableSettings = TableSettings(
     Args:
         path: path of the file with the profile.
         speed: vehicle speed [m/s].
-        given: settings for headings that are missing or have no unit.
+        given: settings that replace headings which are missing or have no unit.
 
     Raises:
         InputError: the file cannot be read, or its numbers are not a valid road. The message gives the file and the line.
@@ -168,7 +168,7 @@ def choose_columns(
 ) -> Sequence[int]:
     """Returns the columns of distance and height, or of distance, left and right, counted from 0.
 
-    The columns are found by their headings or, if there are no headings, by their order.
+    The columns are identified by their headings or, if there are no headings, by their order.
 
     Args:
         table: table of numbers in the file, which contains the columns.
@@ -213,7 +213,7 @@ def erd_text(text: str) -> tuple[str, str]:
     """Returns the numbers of an ERD file as a table with headings, and the step as text with its unit.
 
     Raises:
-        InputError: the numbers are binary, or the header has no sizes or no end.
+        InputError: the numbers in the file are binary, or the header contains no sizes or has no end.
     """
     header, end, numbers = re.split(r"^(END)\s*$", text, maxsplit=1, flags=re.MULTILINE) if "\nEND" in text else (text, "", "")
     lines = header.splitlines()
@@ -234,7 +234,7 @@ def rdf_text(text: str) -> str:
     """Returns the table of an RDF file of the type `poly_line` with headings, and the line number of each row in the file.
 
     Raises:
-        InputError: the road has another type, or the file has no table.
+        InputError: the road in the file has a type other than `poly_line`, or the file has no table.
     """
     lines = [re.split(r"[$!]", line)[0].strip() for line in text.splitlines()]
     values = {name.strip().upper(): value.strip(" '\"").lower() for name, _, value in (line.partition("=") for line in lines)}
@@ -264,7 +264,7 @@ def rdf_text(text: str) -> str:
 def _coordinates(headings: Sequence[Heading], wanted: Sequence[int]) -> Sequence[int]:
     """Returns the columns of two horizontal coordinates, east and north, counted from 0.
 
-    The result is empty if the table lacks one of these columns or has no column of height.
+    The result is empty if the table lacks a column of either coordinate or of height.
     """
     if len(wanted) == 2 or not (wanted or {"height", "left", "right"} & {one.quantity for one in headings}):
         return []
@@ -280,7 +280,7 @@ def _in_degrees(headings: Sequence[Heading]) -> bool:
 
 
 def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: bool) -> tuple[Array, str]:
-    """Returns the length of a path up to each point [m], shape (P,), and a warning.
+    """Returns the length of a surveyed path up to each of its points [m], shape (P,), and a warning.
 
     Args:
         table: table of numbers in the file, which contains the columns.
@@ -289,7 +289,7 @@ def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: 
         ragged: True if rows may have different numbers of cells.
 
     Raises:
-        InputError: a unit or number is wrong, or noise makes the path much longer than the road.
+        InputError: a unit or a coordinate is wrong, or noise makes the path much longer than the road.
     """
     numbers, columns = table.numbers([one.column - 1 for one in headings], ragged)[0], columns_in_words(headings)
     if _in_degrees(headings):
@@ -323,7 +323,7 @@ def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: 
 def _other_length(table: NumberTable, headings: Sequence[Heading], distance: Array, heading: Heading, ragged: bool) -> list[str]:
     """Returns a warning if a column of distance differs from the length of the path through coordinates in the same table.
 
-    If the coordinates cannot be read, there is no warning.
+    If the coordinates cannot be read, the function returns no warning.
 
     Raises:
         InputError: the difference is larger than map projections cause, for example because the column contains station
@@ -346,7 +346,7 @@ def _check_tracks(distance: Array, heights: Array, first: int) -> None:
 
     Args:
         distance: values of the first column, shape (P,).
-        heights: values of the other two columns, shape (P, 2).
+        heights: values of the second and third column, shape (P, 2).
         first: number of the first line, for the message.
     """
     difference = heights[:, 0] - heights[:, 1]

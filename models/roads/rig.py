@@ -1,4 +1,4 @@
-"""Posts of a test rig: the height under each wheel over time, as in the drive file of a four-post rig."""
+"""Posts of a test rig: the height under each wheel against time, as in the drive file of a four-post rig."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -24,17 +24,18 @@ STROKE = 2.0  # largest distance that a post may move from its first height [m]
 
 @dataclass(frozen=True, eq=False)
 class Rig(MeasuredRoad):
-    """Posts of a test rig: a cubic spline through the heights of every post over time, with its exact time derivative.
+    """Posts of a test rig: for each post, a cubic spline through its heights against time, with the exact time derivative.
 
-    Before its first point, a post stays at its first height; after its last point, it stays at its last height. At both ends,
-    the slope of the spline is zero. The vehicle does not move forward, so all wheels are independent and the speed has no
-    effect. The vehicle starts in equilibrium on the first heights, whose mean is the datum.
+    Before its first point, a post stays at its first height; after its last point, it stays at its last height. The slope of
+    the spline is zero at the first and at the last point. The vehicle does not move forward, so all wheels are independent and
+    the speed has no effect. The vehicle starts in equilibrium on the first heights of the posts; the mean of the first heights
+    is the datum.
 
     Attributes:
         time: times of the points [s], ascending, shape (P,).
         heights: heights of the K posts [m], shape (P, K).
-        posts: names of the wheels on the K posts. A name is that of the wheel's road signal or of the road's body in MJCF, or
-            the suffix of one of these names.
+        posts: names of the wheels on the K posts, a name for each post. A name is that of the wheel's road signal or of the
+            road's body in MJCF, or the suffix of one of these names.
         source: name of the file.
 
     Raises:
@@ -65,7 +66,7 @@ class Rig(MeasuredRoad):
         """Returns the name of the post under a wheel.
 
         Raises:
-            InputError: no post has the name of this wheel.
+            InputError: no post has a name of the wheel.
         """
         for post in self.posts:
             if post_name(post) in _names(wheel):
@@ -79,12 +80,12 @@ class Rig(MeasuredRoad):
         return 0.0
 
     def start(self, side: str) -> tuple[float, float]:
-        """Returns the first height of a post [m] and the rate of change 0; an empty name means the first post."""
+        """Returns the first height of a post [m], and 0 for its rate of change; an empty name means the first post."""
         first = self.heights[0]
         return float(first[self._index(side)] - first.mean()), 0.0
 
     def departure(self, t: Array, side: str = "") -> Array:
-        """Returns the spline of a post relative to its first height [m]."""
+        """Returns the height of a post relative to its first height [m], as given by the spline."""
         return self._splines[self._index(side)](np.clip(t, 0.0, self.duration))
 
     def departure_rate(self, t: Array, side: str = "") -> Array:
@@ -100,7 +101,7 @@ class Rig(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """All points as the text of a CSV file with exact numbers: time [s], heights [m]."""
+        """All points as the text of a CSV file with exact numbers: time [s] and heights of the posts [m]."""
         rows = np.column_stack([self.time, self.heights]).tolist()
         return (",".join(["time", *self.posts]) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
@@ -146,14 +147,14 @@ class Rig(MeasuredRoad):
 def post_name(text: str) -> str:
     """Returns the normal form of a column's name.
 
-    In this form, `Front Left`, `LF` and `road_displacement_front_left` are equal.
+    In its normal form, `Front Left`, `LF` and `road_displacement_front_left` are equal.
     """
     name = "_".join(text.lower().replace("-", " ").replace("_", " ").split())
     return CORNERS.get(name, name)
 
 
 def _names(wheel: Wheel) -> tuple[str, ...]:
-    """Returns the possible names of the post under a wheel, the usual name first."""
+    """Returns the names that the post under a wheel may have, the usual name first."""
     signal, body = wheel.road_displacement, wheel.road_body
     ending = signal.removeprefix("road_displacement_")
     return tuple(dict.fromkeys(post_name(name) for name in (ending, signal, body)))
@@ -204,7 +205,7 @@ def rig_from_csv(content: bytes, source: str) -> Rig:
     """Returns the rig that a text from `Rig.points` contains, with exact numbers.
 
     Raises:
-        InputError: the content is not valid.
+        InputError: the content of the text is not valid.
     """
     (_, *posts), table = read_points(content, "rig")
     return Rig(table[:, 0], table[:, 1:], tuple(posts), source)

@@ -36,8 +36,8 @@ def read_rig(path: Path, settings: RigSettings) -> Rig:
         settings: units for headings without a unit.
 
     Raises:
-        InputError: the file cannot be read, a heading or line is wrong, or the heights are not valid. The message gives the
-            file and the line.
+        InputError: the file cannot be read, a heading or a line of the file is wrong, or the heights are not valid. The message
+            gives the file and the line.
     """
     with reading(path, "drive file", FORMAT):
         table = find_table(table_text(path), FORMAT)

@@ -30,7 +30,9 @@ LOWEST = 1e-5  # smallest height of a road [m]; rounding errors of the vehicle's
 
 
 class Road(ABC):
-    """Road driven at constant speed, or moving posts of a rig. At time 0, the first wheel reaches the start of the road."""
+    """Road that is driven at constant speed, or the moving posts of a rig. At time 0, the first wheel reaches the start of the
+    road.
+    """
 
     speed: float
     """Forward velocity of the vehicle [m/s]."""
@@ -47,7 +49,7 @@ class Road(ABC):
         return math.inf
 
     def track_of(self, wheel: Wheel) -> str:
-        """Returns the side of a wheel, as the argument `side` of `displacement`."""
+        """Returns the side of a wheel in the form of the argument `side` of `displacement`."""
         return wheel.side
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
@@ -73,13 +75,13 @@ class Road(ABC):
     def from_start(self) -> "Road":
         """The road relative to the steady motion in which the vehicle starts (`MeasuredRoad`).
 
-        If the vehicle starts in equilibrium on flat ground, this is the road itself.
+        For a vehicle that starts in equilibrium on flat ground, the result is the road itself.
         """
         return self
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings about numbers that probably have another unit: the speed, or the height of an obstacle."""
+        """Warnings about numbers that probably have a wrong unit: the speed, or the height of an obstacle."""
         heights = ({"obstacle": KnownQuantity(name, abs(getattr(self, name)), "m")} for name in getattr(self, "tall", ()))
         return remarks([{"speed": KnownQuantity("speed", self.speed, "m/s")}, *heights])
 
@@ -103,7 +105,8 @@ class Road(ABC):
         return np.zeros((len(t), len(vehicle.kind.loads)))
 
     def held_loads(self, vehicle: Vehicle, t: Array, timestep: float) -> Array:
-        """Returns the loads that MuJoCo holds over time steps, shape (T, l); by default, the loads in the middle of each step.
+        """Returns the loads that MuJoCo holds constant during each time step, shape (T, l); by default, the loads in the middle
+        of the step.
 
         Args:
             vehicle: the vehicle, with l loads.
@@ -114,17 +117,18 @@ class Road(ABC):
 
     @abstractmethod
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height under the first wheel of a side [m] at times t [s], same shape.
+        """Returns the height under the first wheel of a side [m] at times t [s], same shape as t.
 
         See `Wheel.side` and `track_of`.
         """
 
     def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
-        """Returns the height that MuJoCo holds over time steps [m], same shape as t.
+        """Returns the height that MuJoCo holds constant during each time step [m], same shape as t.
 
-        By default, this is the height in the middle of each step.
+        By default, MuJoCo holds the height in the middle of the step.
 
-        A measured road may have several points within a step. MuJoCo therefore holds its mean height over the step.
+        A measured road may have several points within a step. For a measured road, MuJoCo therefore holds the mean height over
+        the step.
 
         Args:
             t: middle times of the steps [s].
@@ -135,7 +139,7 @@ class Road(ABC):
 
     @abstractmethod
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative of `displacement` [m/s] at times t [s], same shape."""
+        """Returns the time derivative of `displacement` [m/s] at times t [s], same shape as t."""
 
     @abstractmethod
     def scaled(self, factor: float) -> "Road":
@@ -144,7 +148,9 @@ class Road(ABC):
     @property
     @abstractmethod
     def kinks(self) -> tuple[float, ...]:
-        """Times [s] at which `velocity` or one of its derivatives jumps. An integration must not step across these times."""
+        """Times [s] at which `velocity` or one of its derivatives jumps. A numerical integration must begin a new step at every
+        jump.
+        """
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:
@@ -157,11 +163,11 @@ class Road(ABC):
 
     @abstractmethod
     def describe(self) -> dict[str, float | str]:
-        """Returns the type of the road (key `type`), then its numbers in SI units."""
+        """Returns a description: the type of the road (key `type`), then the road's numbers in SI units."""
 
     @property
     def words(self) -> str:
-        """The description as one line of text, without long lists."""
+        """The description of the road as one line of text, without long lists."""
         kind, *short = [(key, value) for key, value in self.describe().items() if not isinstance(value, list) and value != ""]
         units = self.units
         number = [
@@ -178,7 +184,8 @@ class Road(ABC):
             time: sample times of the run, from 0 [s].
 
         Raises:
-            InputError: the road ends within two timesteps, is too low, or lies under one side of a vehicle with one track.
+            InputError: the road ends within two timesteps, is too low, or lies under only one side although the vehicle has one
+                track.
         """
         timestep = float(time[1])
         if self.duration < 2 * timestep and not self.jumps:
@@ -216,7 +223,7 @@ class Obstacle(Section, Road):
         check_fields(self, f"{self.kind} ")
 
     def describe(self) -> dict[str, float | str]:
-        """Returns the type of the road (key `type`), and its fields."""
+        """Returns a description: the type of the road (key `type`), and the fields of the road."""
         return {"type": self.kind, **asdict(self)}
 
     def scaled(self, factor: float) -> Road:
@@ -226,7 +233,8 @@ class Obstacle(Section, Road):
 
 @dataclass(frozen=True)
 class Bump(Obstacle):
-    """Isolated bump, equation (61) of the paper: one period of a cosine. The default values are those of equation (62).
+    """Isolated bump, equation (61) of the paper: one period of a cosine. The default height, length and speed are those of
+    equation (62) of the paper.
 
     Raises:
         InputError: a number is out of its range, or has a unit of another dimension.
@@ -249,7 +257,7 @@ class Bump(Obstacle):
         return np.where(on, self.height / 2 * (1 - np.cos(2 * np.pi * t / self.duration)), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative of the height (61)."""
+        """Returns the time derivative of the height of the bump (61) [m/s]."""
         on = self._on(t, side)
         return np.where(on, self.height * np.pi / self.duration * np.sin(2 * np.pi * t / self.duration), 0.0)
 
@@ -280,7 +288,8 @@ class DerivedRoad(Road):
 
 
 class MeasuredRoad(Road):
-    """Road of measured heights. The vehicle starts on the road in steady motion: each wheel moves along a straight line.
+    """Road whose heights were measured. The vehicle starts on the road in steady motion: each wheel moves along a straight
+    line.
 
     Heights are relative to one datum, the mean of the heights at the first contact points.
     """
@@ -296,11 +305,11 @@ class MeasuredRoad(Road):
 
     @abstractmethod
     def departure(self, t: Array, side: str = "") -> Array:
-        """Returns the height of the road above the steady motion [m] at times t [s], same shape; 0 up to time 0."""
+        """Returns the height of the road above the steady motion [m] at times t [s], same shape as t; 0 up to time 0."""
 
     @abstractmethod
     def departure_rate(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative of `departure` [m/s] at times t [s], same shape."""
+        """Returns the time derivative of `departure` [m/s] at times t [s], same shape as t."""
 
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the height above the datum [m]."""
@@ -314,18 +323,21 @@ class MeasuredRoad(Road):
     @property
     @abstractmethod
     def knots(self) -> Array:
-        """Times of the points [s], ascending. Between two points, `departure` is a straight line or a cubic polynomial."""
+        """Times of the road's measured points [s], ascending. Between two points, `departure` is a straight line or a cubic
+        polynomial.
+        """
 
     @property
     def kinks(self) -> tuple[float, ...]:
         """Times of all points [s].
 
-        The points of a spline also count as kinks, because many spline segments in one step reduce the accuracy.
+        The points of a spline also count as kinks, because many spline segments within one integration step reduce the
+        accuracy.
         """
         return tuple(self.knots.tolist())
 
     def mean_departure(self, t: Array, timestep: float, side: str = "") -> Array:
-        """Returns the mean of `departure` over time steps [m], exact except for rounding errors.
+        """Returns the mean of `departure` over each time step [m], exact except for rounding errors.
 
         Args:
             t: middle times of the steps [s].
@@ -359,7 +371,7 @@ class ScaledRoad(DerivedRoad):
     """Road whose heights are multiplied by a factor.
 
     Attributes:
-        factor: factor on the heights.
+        factor: number by which the heights are multiplied.
     """
 
     factor: float
@@ -374,7 +386,7 @@ class ScaledRoad(DerivedRoad):
         return self.factor * self.road.displacement(t, side)
 
     def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
-        """Returns the heights that MuJoCo holds over time steps, multiplied by the factor [m]."""
+        """Returns the heights that MuJoCo holds constant during each time step, multiplied by the factor [m]."""
         return self.factor * self.road.held_height(t, timestep, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
@@ -398,7 +410,7 @@ def means(function: Callable[[Array], Array], knots: Array, t: Array, length: fl
     Args:
         function: continuous function to average.
         knots: points at which the function has a kink, ascending, shape (K,).
-        t: middles of the intervals.
+        t: middle of each interval.
         length: length of every interval.
     """
     start, end = t - length / 2, t + length / 2
@@ -436,7 +448,7 @@ def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: V
 
     Args:
         function: `road.displacement` or `road.velocity`, the quantity to evaluate.
-        road: road to which this function belongs.
+        road: road to which `function` belongs.
         vehicle: vehicle with r wheels.
         t: times [s], shape (T,).
     """
@@ -459,7 +471,7 @@ class Edge(NamedTuple):
     Attributes:
         change: change of the heights under the r wheels from the sample's side of the edge to the opposite side [m], shape
             (r,).
-        behind: True if, at the sample, the wheels are already behind the edge.
+        behind: True if the wheels are already behind the edge at the time of the sample.
     """
 
     change: Array
@@ -468,7 +480,7 @@ class Edge(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RoadInput:
-    """Road and loads at the samples of a run. Each quantity is computed when it is first needed, and then cached.
+    """Road and loads at the samples of a run. Each of the quantities is computed when it is first needed, and then cached.
 
     Heights and velocities are relative to the steady motion in which the vehicle starts (`MeasuredRoad`). The steady motion is
     an inertial frame, in which the run starts in equilibrium. `steady_signals` returns the steady motion.
@@ -477,8 +489,8 @@ class RoadInput:
         vehicle: vehicle with r wheels and l loads on its body.
         road: road that excites the vehicle.
         time: equidistant sample times [s], shape (T,).
-        earlier: True to repeat a run of an earlier version. In these runs, the signals at a sample used the load of the step
-            that begins at the sample, and vertical edges had only one side.
+        earlier: True to repeat a run of an earlier version. In the earlier version, signals at a sample used the load of the
+            step that begins at the sample, and vertical edges had only one side.
     """
 
     vehicle: Vehicle
@@ -498,7 +510,9 @@ class RoadInput:
 
     @property
     def has_held_inputs(self) -> bool:
-        """True if inputs other than road heights are held over time steps: loads, or road velocities if tyres have damping."""
+        """True if inputs other than road heights are held constant during each time step: loads, or road velocities if tyres
+        have damping.
+        """
         return self.loaded or self.vehicle.linear_model.tyres_damp
 
     @cached_property
@@ -509,8 +523,9 @@ class RoadInput:
     def steady_signals(self, time: Array) -> Array | None:
         """Returns the vehicle's signals in the steady motion, computed from the linear model.
 
-        The state is constant, x = -A^-1 (Bw w + Br z_r). Velocities are those of the inclined plane. Deflections are zero with
-        two exceptions: posts can warp the vehicle, and the weight of an inclined body with a roll or pitch axis has a moment.
+        The state is constant, x = -A^-1 (Bw w + Br z_r). In the steady motion, velocities are those of the inclined plane on
+        which the vehicle starts. Deflections are zero with two exceptions: posts can warp the vehicle, and the weight of an
+        inclined body with a roll or pitch axis has a moment.
 
         Args:
             time: times [s], shape (T,).
@@ -540,11 +555,11 @@ class RoadInput:
 
     @cached_property
     def midway(self) -> Array:
-        """Heights at which MuJoCo holds the road over the steps that begin at the samples [m], shape (T, r)."""
+        """Heights at which MuJoCo holds the road during the steps that begin at the samples [m], shape (T, r)."""
         return self.held_heights(self.time + self.timestep / 2)
 
     def held_heights(self, middle: Array) -> Array:
-        """Returns the heights [m] at which MuJoCo holds the road over steps with given middle times [s], shape (T, r)."""
+        """Returns the heights [m] at which MuJoCo holds the road during steps with the middle times t [s], shape (T, r)."""
         return under_wheels(
             lambda t, side: self.relative_road.held_height(t, self.timestep, side), self.relative_road, self.vehicle, middle
         )
@@ -561,14 +576,14 @@ class RoadInput:
 
     @cached_property
     def held_loads(self) -> Array:
-        """Loads that MuJoCo holds over the steps that begin at the samples [N, N m], shape (T, l)."""
+        """Loads that MuJoCo holds constant during the steps that begin at the samples [N, N m], shape (T, l)."""
         return self.road.held_loads(self.vehicle, self.time + self.timestep / 2, self.timestep)
 
     @cached_property
     def held_velocities(self) -> Array:
         """Mean rates of change of the heights over the time steps that begin at the samples [m/s], shape (T, r).
 
-        MuJoCo holds these velocities over the steps.
+        During each time step, MuJoCo holds the road velocity constant at its mean.
 
         If the height changes by dz in a step, the tyre damping c therefore gives the impulse c dz, even across a kink or an
         edge.
@@ -578,9 +593,9 @@ class RoadInput:
 
     @cached_property
     def held_inputs(self) -> Array:
-        """All inputs held constant over time steps: loads, and road velocities if tyres have damping.
+        """All inputs that are held constant during each time step: loads, and road velocities if tyres have damping.
 
-        The shape is (T, l), or (T, l + r) with tyre damping.
+        The shape of the inputs is (T, l), or (T, l + r) if tyres have damping.
         """
         if not self.vehicle.linear_model.tyres_damp:
             return self.held_loads
@@ -588,13 +603,15 @@ class RoadInput:
 
     @cached_property
     def in_signals(self) -> Array:
-        """Inputs that act on the signals at the samples: present loads, and held road velocities; same shape as `held_inputs`."""
+        """Inputs that act on the signals at the samples: loads at the samples, and held road velocities; same shape as
+        `held_inputs`.
+        """
         return self.held_inputs if self.earlier else np.hstack([self.loads, self.held_inputs[:, self.loads.shape[1] :]])
 
     @cached_property
     def in_readings(self) -> Array:
-        """Inputs that act on each sample's measurements, before new forces act: present loads, and road velocities before the
-        sample.
+        """Inputs that act on each sample's measurements, before new forces act: loads at the sample, and road velocities before
+        the sample.
         """
         before = np.concatenate([np.zeros_like(self.held_inputs[:1]), self.held_inputs[:-1]])
         return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
@@ -603,9 +620,9 @@ class RoadInput:
         """Returns the vertical edges of the road, by the number of the sample at which each edge acts.
 
         Args:
-            held: True for the road that MuJoCo holds over steps. An edge in the first half of a step acts at the beginning of
-                the step. An edge in the second half acts at the end, where the sample already has the height behind the edge.
-                False to assign each edge to the last sample before it.
+            held: True for the road as MuJoCo holds it constant during each step. An edge in the first half of a step acts at
+                the beginning of the step. An edge in the second half of a step acts at the end of the step, where the sample
+                already has the height behind the edge. False to assign each edge to the last sample before the edge.
         """
         edges: dict[int, Edge] = {}
         for at, wheel, height in jumps_under_wheels(self.road, self.vehicle) if not self.earlier else ():
@@ -617,10 +634,10 @@ class RoadInput:
         return edges
 
     def ahead(self, count: int) -> Array:
-        """Returns the heights under the wheels at `count` additional samples after the last one [m], shape (count, r)."""
+        """Returns the heights under the wheels at `count` additional samples after the last sample [m], shape (count, r)."""
         after = self.time[-1] + self.timestep * np.arange(1, count + 1)
         return under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, after)
 
     def scaled(self, share: float) -> "RoadInput":
-        """Returns the input with heights and loads multiplied by a factor."""
+        """Returns this input with road heights and loads multiplied by a factor."""
         return replace(self, road=self.road.scaled(share))

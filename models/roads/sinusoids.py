@@ -20,7 +20,8 @@ MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # names that roads of
 
 @dataclass(frozen=True)
 class Multisine(Section, Road):
-    """Sum of sinusoids that begins at time 0. Heights are relative to the height at time 0. The road is flat before time 0.
+    """Road that is a sum of sinusoids and begins at time 0. Heights are relative to the height at time 0. The road is flat
+    before time 0.
 
     z_r(t) = s(t) - s(0),    s(t) = sum of a_i sin(omega_i t + phi_i),    t >= 0.
 
@@ -52,16 +53,18 @@ class Multisine(Section, Road):
         return np.where(t >= 0, self._sum(t, np.asarray(self.amplitudes), 0.0) - start, 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the exact time derivative [m/s]."""
+        """Returns the exact time derivative of the height [m/s]."""
         return np.where(t >= 0, self._sum(t, np.multiply(self.amplitudes, self.omega), np.pi / 2), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Time at which the road begins [s]. The velocity jumps at this time; later, the road is smooth."""
+        """Time at which the road begins [s]. The road velocity jumps when the road begins; later, the road is smooth."""
         return (0.0,)
 
     def describe(self) -> dict[str, Any]:
-        """Returns a description: number, frequency range and rms of the sinusoids, and the numbers of each sinusoid."""
+        """Returns a description: number, frequency range and rms of the sinusoids, then amplitude, frequency and phase of each
+        sinusoid.
+        """
         return {
             "type": self.name,
             "lines": len(self.omega),
@@ -79,7 +82,7 @@ class Multisine(Section, Road):
         return replace(self, amplitudes=tuple(factor * a for a in self.amplitudes))
 
     def to_height(self, height: float, time: Array) -> "Multisine":
-        """Returns the road scaled to a given peak magnitude at given times.
+        """Returns the road with heights scaled so that their peak magnitude at the sample times has the requested value.
 
         Args:
             height: peak magnitude of the height [m].
@@ -101,10 +104,10 @@ def _blocks(t: Array, lines: int) -> list[Array]:
 def chirp(omega: Array, period: float, speed: float) -> Multisine:
     """Returns sinusoids of equal velocity amplitude with Schroeder's phases: a periodic chirp with a low crest factor.
 
-    Source: M. R. Schroeder (1970), IEEE Trans. Inf. Theory 16, 85-89. With these phases, the group delay at a frequency is
-    proportional to the power below this frequency. The sinusoids therefore follow each other over the period. The phases are
-    phi_i = -T sum over l < i of p_l (omega_i - omega_l), where all F sinusoids have the same power p_l = 1/F. Equal velocity
-    amplitudes give white velocity, as on a road of ISO 8608 with w = 2.
+    Source: M. R. Schroeder (1970), IEEE Trans. Inf. Theory 16, 85-89. With Schroeder's phases, the group delay at a frequency
+    is proportional to the power at lower frequencies. The frequencies of the signal are therefore reached one after another
+    during the period. The phases are phi_i = -T sum over l < i of p_l (omega_i - omega_l), where all F sinusoids have the same
+    power p_l = 1/F. With equal velocity amplitudes, the road velocity is white, as on a road of ISO 8608 with w = 2.
 
     Args:
         omega: ascending angular frequencies [rad/s], multiples of 2 pi / period, shape (F,).
@@ -137,7 +140,7 @@ def _white(omega: Array, phases: Array, speed: float, name: str) -> Multisine:
 
 @dataclass(frozen=True)
 class Sine(Obstacle):
-    """Sine that begins at a given phase.
+    """Road that is a sine and begins at a given phase.
 
     Heights are relative to the height at the beginning. The road is flat before the beginning.
 
@@ -159,7 +162,7 @@ class Sine(Obstacle):
         return np.where(t >= self.start, self.amplitude * (np.sin(self._angle(t)) - begins), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the exact time derivative [m/s]."""
+        """Returns the exact time derivative of the height [m/s]."""
         return np.where(t >= self.start, self.amplitude * 2 * np.pi * self.frequency * np.cos(self._angle(t)), 0.0)
 
     @property
@@ -177,7 +180,7 @@ class SineSweep(Obstacle):
 
         z_r = amplitude exp(-k t) sin(2 pi lowest (exp(k t) - 1) / k),    k = ln(highest / lowest) / duration.
 
-    For this reason, the road velocity, which excites the vehicle, has nearly the same amplitude at all frequencies.
+    The road velocity, which excites the vehicle, therefore has nearly the same amplitude at all frequencies.
 
     Raises:
         InputError: a number is out of its range, or the last frequency is not above the first.
@@ -201,7 +204,7 @@ class SineSweep(Obstacle):
         return self.amplitude * np.exp(-self._rate * t) * np.sin(self._angle(t))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the exact time derivative [m/s]."""
+        """Returns the exact time derivative of the height [m/s]."""
         on, s = (t >= 0) & (t <= self.duration), np.clip(t, 0.0, self.duration)
         fading = self._rate * np.exp(-self._rate * s) * np.sin(self._angle(s))
         return np.where(on, self.amplitude * (2 * np.pi * self.lowest * np.cos(self._angle(s)) - fading), 0.0)

@@ -16,8 +16,8 @@ class Spectrum:
     """Spectrum of a random road that is driven at constant speed.
 
     Attributes:
-        density: one-sided power spectral density of the vertical road velocity at `N0` [(m/s)^2/Hz]. For waviness 2, the
-            velocity is white noise.
+        density: one-sided power spectral density of the vertical road velocity at `N0` [(m/s)^2/Hz]. For a waviness of 2, the
+            road velocity is white noise.
         band: lowest and highest frequency [rad/s].
         speed: vehicle speed V [m/s].
         length: distance after which the road repeats [m]. The road is a sum of sinusoids whose spatial frequencies are 1 /
@@ -38,7 +38,7 @@ class Spectrum:
         return coherency(omega / (2 * np.pi * self.speed), self.track_width, self.waviness)
 
     def slope(self, omega: Array) -> Array:
-        """Returns the velocity amplitude divided by the amplitude at `N0`, same shape as omega; 1 for waviness 2."""
+        """Returns the amplitude of the road velocity divided by its value at `N0`, same shape as omega; 1 for waviness 2."""
         return slope_power(omega / (2 * np.pi * self.speed), self.waviness) ** 0.5
 
 
@@ -69,7 +69,8 @@ def coherency(n: Array, width: float, waviness: float = 2.0) -> Array:
 
 
 def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
-    """Returns the road's complex amplitude under every wheel if the road under the first wheel is exp(j omega t), shape (F, r).
+    """Returns the complex amplitude of the road under every wheel, for a road exp(j omega t) under the first wheel, shape (F,
+    r).
 
     Args:
         vehicle: vehicle with r wheels.
@@ -83,7 +84,7 @@ def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
 def tracks(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
     """Returns the shares of two independent random sources in the road velocity on every wheel's track, shape (F, r, 2).
 
-    The shares are relative to the amplitude of the road velocity at `N0`.
+    The shares are divided by the amplitude of the road velocity at `N0`.
     """
     alike = road.coherency(omega)
     left, right = np.stack([np.ones_like(alike), np.zeros_like(alike)]), np.stack([alike, np.sqrt(1 - alike**2)])

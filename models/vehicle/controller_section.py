@@ -21,13 +21,13 @@ from models.vehicle.limits_and_implementation import LONGEST_PERIOD
 
 
 def _matrix(value: Any, context: Mapping[str, Any]) -> tuple[tuple[float, ...], ...]:
-    """Returns the rows of a matrix of the control law."""
+    """Returns the rows of one of the matrices of the control law."""
     return matrix_rows(value, "give a list of rows")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, GivenSection):
-    """Section `[controllers.NAME]` of a vehicle file with all its keys."""
+    """Section `[controllers.NAME]` of a vehicle file, with all keys that the section may have."""
 
     A: Annotated[Any, ReadBy("state matrix of the law x_c' = A x_c + B y, u = C x_c + D y", _matrix, allowed=ROWS)] = None
     B: Annotated[Any, ReadBy("input matrix of the law", _matrix, allowed=ROWS)] = None
@@ -62,17 +62,19 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Giv
 
     @property
     def given(self) -> bool:
-        """True if the section contains the numbers of a linear law."""
+        """True if the section contains the numbers of a linear law: a gain, matrices, or PID gains."""
         return self.gain is not None or self.A is not None or (self.pid is not None and self.structure not in PATTERNS)
 
     @property
     def errors(self) -> WeightedErrors | None:
-        """Uncertainties of measurements and forces with a frequency-dependent weight; None if there are none."""
+        """Uncertainties of measurements and forces with a frequency-dependent weight; None for a section without these
+        uncertainties.
+        """
         weights = {name: one for name, one in self.tolerance.items() if isinstance(one, Filter)}
         return WeightedErrors(weights) if weights else None
 
     def linear_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
-        """Returns the linear law in the section, or None if the section has no numbers."""
+        """Returns the linear law in the section; None if the section does not contain the numbers of a linear law."""
         if self.gain is not None:
             return super().linear_law(measured, corners)
         if self.A is None:

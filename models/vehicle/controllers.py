@@ -39,13 +39,13 @@ PUSHING_ACTUATORS = "force"  # value of the key `actuators` in a controller's se
 class DesignConditions:
     """Sensor noise, actuator lag and loads for which a controller is designed and certified.
 
-    By default, a design uses none of these.
+    By default, a design assumes exact measurements, actuators without lag, and no loads.
 
     Attributes:
-        noise: rms noise of each measured signal, in the unit of the signal; empty for exact measurements.
+        noise: rms value of the noise of each measured signal, in the unit of the signal; empty for exact measurements.
         bandwidth: corner frequency of the first-order lag of every actuator [rad/s]; None for actuators without lag.
-        loads: loads on the body as additional disturbances, by name. Each value is the load that has the same weight in a
-            design as 1 m/s of the disturbance w [N, N m].
+        loads: loads on the body as additional disturbances, by name. Each value [N, N m] is the load to which a design gives
+            the same weight as to a disturbance w of 1 m/s.
     """
 
     public_name = "design conditions, such as vehicle.hardware(name) returns"
@@ -56,7 +56,7 @@ class DesignConditions:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The design conditions as keys of a controller's section."""
+        """The design conditions (noise, loads and lag) as keys of a controller's section."""
         given = {"noise": any(self.noise), "loads": dict(self.loads), "lag": self.bandwidth is not None}
         return {key: value for key, value in given.items() if value}
 
@@ -66,17 +66,19 @@ NOMINAL = DesignConditions()
 
 @dataclass(frozen=True, eq=False)
 class ControllerEntry:
-    """Controller of a vehicle file, created from a `ControllerSection`.
+    """Controller that a vehicle file describes, created from a `ControllerSection`.
 
     Attributes:
         name: name of the controller.
         measured: names of the q measured signals.
         source: source of the control law: a `LinearLaw`, a `DesignRequest`, a `PythonLaw` or a `SemiActiveLaw`.
-        certificate: certificate of a given law, as written by `roadproof synth --save`; None without a certificate.
+        certificate: certificate of a law whose numbers are in the file, as written by `roadproof synth --save`; None without a
+            certificate.
         hardware: sensor noise, actuator lag and loads for which the controller is designed and certified.
         goals: goals for the design or evaluation of a gain; None for a design that minimises the norm.
-        errors: uncertainties of measurements and forces with a frequency-dependent weight; None if there are none.
-        study: True for a theoretical study, in which the law measures heights above a flat datum.
+        errors: uncertainties of measurements and forces with a frequency-dependent weight; None for a controller without these
+            uncertainties.
+        study: True for a theoretical study, in which the control law may measure heights above a flat datum.
         forced: True if the controller drives force actuators (`actuators = "force"`), even on a vehicle with semi-active
             dampers.
     """
@@ -95,7 +97,7 @@ class ControllerEntry:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Signals that the controller uses: the measured signals, and the signals in its goals."""
+        """Signals that the controller uses: the measured signals, and the signals in the controller's goals."""
         return self.measured if self.goals is None else (*self.measured, *self.goals.signals)
 
     @property
@@ -105,19 +107,19 @@ class ControllerEntry:
 
     @property
     def law(self) -> LinearLaw | None:
-        """The linear law if the file contains its numbers; otherwise None."""
+        """The linear law if the file contains the numbers of the law; None otherwise."""
         return self.source.given
 
     @property
     def request(self) -> DesignRequest:
-        """The requested design; the default request for a law that is not designed."""
+        """The design that the section requests; the default request for a law that is not designed."""
         return self.source.request or DesignRequest()
 
     @property
     def parts(self) -> dict[str, str]:
         """The source and the options of the controller, with keys and values as in a vehicle file.
 
-        Each key is also a row in the table that shows which options can be combined.
+        Each key of the result is also a row in the table that shows which options can be combined.
         """
         given = self.source.record | self.hardware.record | (self.goals.record if self.goals is not None else {})
         if self.errors is not None:
@@ -131,7 +133,7 @@ class ControllerEntry:
 
 
 def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]:
-    """Returns the measured signals after checking that the vehicle can measure them."""
+    """Returns the names of the measured signals after checking that the vehicle can measure these signals."""
     measurable, study = list_names(context["measurable"]), context.get("study", False)
     if not isinstance(value, list | tuple) or not value or not all(isinstance(signal, str) for signal in value):
         raise InputError(f"{HERE} = {short_repr(value)} is not a list of signals; give a list of signals from {measurable}")
@@ -163,7 +165,7 @@ def matrix_rows(value: Any, give: str, largest: float = np.inf) -> tuple[tuple[f
     Args:
         value: a number, a row of numbers or rows of numbers.
         give: end of the error message for an invalid value, which describes a valid value.
-        largest: largest magnitude of an entry.
+        largest: largest allowed magnitude of an entry.
     """
     rows = value if isinstance(value, list | tuple) else [value]
     if not all(isinstance(row, list | tuple) and all(is_finite(x) and abs(x) <= largest for x in row) for row in rows):
@@ -188,7 +190,9 @@ ROWS = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}
 
 @dataclass(frozen=True, kw_only=True)
 class SignalSection(Demands):
-    """Keys with the measured signals. The other keys of a controller's section refer to these signals."""
+    """Keys that list the measured signals of a controller. The other keys of a controller's section refer to its measured
+    signals.
+    """
 
     study: Annotated[bool, Flag("for a study: the law measures heights above a flat datum, which no sensor measures")] = False
     measured: Annotated[tuple[str, ...], ReadBy("signals that the controller measures", _measured_signals, allowed=NAMES)] = ()
@@ -196,9 +200,9 @@ class SignalSection(Demands):
 
 @dataclass(frozen=True, kw_only=True)
 class GivenSection(SignalSection):
-    """Keys of `[controllers.NAME]` for a static gain that is given or designed in two steps.
+    """Keys of `[controllers.NAME]` for a static gain that the file contains, or that is designed in two steps.
 
-    `ControllerSection` has these and all other keys.
+    `ControllerSection` also has all other keys.
     """
 
     # Only other types of control laws have values for these keys and properties
@@ -224,11 +228,11 @@ class GivenSection(SignalSection):
 
     @property
     def given(self) -> bool:
-        """True if the section contains the numbers of a linear law."""
+        """True if the section contains the numbers of a linear law, which are a gain here."""
         return self.gain is not None
 
     def linear_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
-        """Returns the linear law in the section, or None if the section has no numbers.
+        """Returns the linear law in the section; None if the section does not contain the numbers of a linear law.
 
         For the arguments, see `law_structure`.
         """
@@ -250,7 +254,9 @@ class GivenSection(SignalSection):
 
 
 def _section_class(given: Any) -> type[GivenSection]:
-    """Returns the class that reads a section: `GivenSection`, or `ControllerSection` if the section has any other key."""
+    """Returns the class that reads a section: `GivenSection`, or `ControllerSection` if the section has a key that
+    `GivenSection` lacks.
+    """
     few = not isinstance(given, Mapping) or {*given} <= {*keys(GivenSection)}
     return GivenSection if few else FEATURES.load("all keys of controllers").ControllerSection
 
@@ -272,10 +278,10 @@ def read_controllers(
     Args:
         section: the section `[controllers]`.
         model: linear model of the vehicle.
-        limits: limits of the vehicle, for controllers that are designed for them.
-        implementation: implementation of the vehicle, for controllers that are designed for it.
+        limits: limits of the vehicle, for controllers that are designed for these limits.
+        implementation: implementation of the controllers, for controllers that are designed for this implementation.
         kind: vehicle type.
-        folder: folder of the vehicle file and of Python laws; None for a vehicle file from text.
+        folder: folder of the vehicle file and of Python laws; None if the vehicle file was given as text.
         sampled: default of the key `sampled` in a controller's section.
         dampers: suffix of the signal names at the suspension of each semi-active damper, by name of the damper's control force.
     """
@@ -327,7 +333,7 @@ def _entry(
 ) -> ControllerEntry:
     """Returns the controller that a section describes.
 
-    `read_controllers` then checks the controller together with other entries of the file.
+    `read_controllers` later checks that the controller fits the other sections of the file.
     """
     forced = asked.actuators is not None
     dampers, limits = ({}, limits) if forced or not dampers else (dampers, limits.without_actuators)

@@ -1,4 +1,4 @@
-"""JSON schema of vehicle files. With this schema, an editor can complete keys, show their meanings and mark mistakes."""
+"""JSON schema of vehicle files. With the JSON schema, an editor can complete keys, show their meanings and mark mistakes."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -81,7 +81,7 @@ def file_schema(name: str) -> dict[str, Any]:
 
 
 def _element(name: str, section: type[Section]) -> dict[str, Any]:
-    """Returns the schema of a section of `[parts]` for one kind of force element."""
+    """Returns the JSON schema of a section of `[parts]` for one kind of force element."""
     whole, own = json_schema(PartSite), json_schema(section)
     at = {"anyOf": [whole["properties"]["at"], {"type": "string"}]}
     properties = whole["properties"] | {"kind": {"const": name}, "at": at} | own["properties"]
@@ -89,6 +89,6 @@ def _element(name: str, section: type[Section]) -> dict[str, Any]:
 
 
 def _with_places(common: type[Section], own: type[Section], places: Iterable[str]) -> dict[str, Any]:
-    """Returns the schema of a section that may contain sections for single suspensions or axles."""
+    """Returns the JSON schema of a section that may contain sections for single suspensions or axles."""
     whole, part = json_schema(common), json_schema(own)
     return whole | {"properties": whole["properties"] | dict.fromkeys(places, part | {"required": []}), "required": []}

@@ -1,9 +1,9 @@
 """FMUs of other tools (FMI 2 and 3, co-simulation) as controllers. FMPy runs each FMU in a child process.
 
 A vehicle file names an FMU with `fmu = "their.fmu"`. The inputs of the FMU have the names and units of the measured signals,
-and its outputs are the control forces. If an FMU has other names, the keys `inputs = { In1 = "suspension_deflection" }` and
-`outputs` assign signals to them. At each sample, the FMU advances by one step, to the time of the next sample. The outputs of
-this step are the forces that are held until the next sample.
+and the outputs of the FMU are the control forces. If an FMU uses names that are not signal names, the keys `inputs = { In1 =
+"suspension_deflection" }` and `outputs` assign signals to these names. At each sample, the FMU advances by one step, to the
+time of the next sample. The outputs of the step are the control forces, which are held until the next sample.
 """
 
 import hashlib
@@ -26,12 +26,12 @@ GIVE = "give an FMU of FMI 2 or 3 for co-simulation"
 
 
 def law_of(file: str, sha256: str, names: Mapping[str, str]) -> Callable[[Sample, "ForeignFmu | None"], Any]:
-    """Returns a Python law that steps an FMU.
+    """Returns a Python law that advances an FMU by one step at every sample.
 
     Args:
         file: path of the FMU.
-        sha256: checksum that the file must have.
-        names: signal for each variable of the FMU whose name is not a signal name.
+        sha256: SHA-256 checksum that the file of the FMU must have.
+        names: name of the signal for each variable of the FMU that does not have the name of a signal.
     """
 
     def step(sample: Sample, state: "ForeignFmu | None") -> Any:
@@ -42,13 +42,13 @@ def law_of(file: str, sha256: str, names: Mapping[str, str]) -> Callable[[Sample
 
 
 class ForeignFmu:
-    """Instance of an FMU. Deleting this object terminates the FMU."""
+    """Instance of an FMU. When this object is deleted, the FMU is terminated."""
 
     def __init__(self, file: Path, sha256: str, sample: Sample, names: Mapping[str, str]) -> None:
-        """Starts the FMU and initialises it with the first sample.
+        """Starts the FMU and initialises it with the first sample of the measured signals.
 
         Raises:
-            InputError: FMPy is missing, or the FMU cannot be read, does not fit the measured signals, or fails.
+            InputError: FMPy is not installed, or the FMU cannot be read, does not fit the measured signals, or fails.
         """
         if find_spec("fmpy") is None:
             raise InputError("an FMU needs FMPy; run pip install 'roadproof[fmi]'")
@@ -75,7 +75,7 @@ class ForeignFmu:
             fmu.exitInitializationMode()
 
     def step(self, sample: Sample) -> list[float]:
-        """Returns the forces for a sample [N].
+        """Returns the control forces for a sample of the measured signals [N].
 
         Raises:
             InputError: the FMU fails or ends the simulation.
@@ -93,7 +93,7 @@ class ForeignFmu:
 
     @contextmanager
     def _errors(self, give: str = "") -> Iterator[None]:
-        """Turns errors of FMPy and of the FMU into an InputError."""
+        """Turns any error of FMPy or of the FMU into an InputError."""
         _messages.clear()
         try:
             yield
@@ -120,10 +120,10 @@ def _end(fmu: Any) -> None:
 
 
 def _variables(description: Any, measured: Sequence[str], names: Mapping[str, str]) -> tuple[list[Any], list[Any]]:
-    """Returns the variables of the measured signals, and the variables of the forces in the order of the corners.
+    """Returns the FMU's variables for the measured signals, and those for the control forces in the order of the corners.
 
     Raises:
-        InputError: the FMU is not for co-simulation, or has other inputs, outputs or units.
+        InputError: the FMU is not for co-simulation, or its inputs, outputs or units do not match the controller.
     """
     if description.fmiMajorVersion == 1 or description.coSimulation is None:
         raise InputError(f"it has FMI {description.fmiVersion}{'' if description.coSimulation else ', no co-simulation'}; {GIVE}")
@@ -156,6 +156,6 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
 
 
 def _plain(unit: str) -> str:
-    """Returns a unit in the notation of the signals."""
+    """Returns a unit in the notation that the units of signals have."""
     plain = unit.replace("²", "2").replace("**", "").replace("^", "").replace("*", " ").replace(".", " ")
     return {"m s-1": "m/s", "m s-2": "m/s2", "rad s-1": "rad/s", "rad s-2": "rad/s2"}.get(plain, plain)

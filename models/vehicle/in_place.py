@@ -1,10 +1,11 @@
-"""Replacement of file names in a vehicle file by the contents of the files: control laws, vehicle families and tables.
+"""Replacement of the names of files (control laws, vehicle families and tables) in a vehicle file by the contents of these
+files.
 
-After this replacement, the text of a vehicle is complete: logs, campaigns and saved files contain all numbers, so they can be
-read without other files. A comment in the text gives the source of the numbers.
+After the replacement, the text of a vehicle is complete: logs, campaigns and saved files contain all numbers, so they can be
+read without other files. A comment in the text of the vehicle names the file from which the numbers were read.
 
 A TOML file with a family contains only the key `family`, as in a controller's section. A CSV file with a family has a row for
-each vehicle. The header contains names of parameters, and the numbers are factors on these parameters.
+each vehicle. The header of the CSV file contains names of parameters, and the numbers are factors on these parameters.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,18 +27,18 @@ GIVE_LAW = f"give a MATLAB file with A, B, C, D, or K, written by {SAVE}"
 
 
 def with_contents(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """Replaces names of other files in the text of a vehicle file by the contents of these files.
+    """Replaces the names of files in the text of a vehicle file by the contents of these files.
 
     Args:
         text: text of the vehicle file.
-        folder: folder of the vehicle file. Paths in the vehicle file are relative to this folder.
+        folder: folder of the vehicle file. Paths in the vehicle file are relative to `folder`.
 
     Returns:
-        The complete text, and the paths of the other files.
+        The complete text, and the paths of the files whose contents it contains.
 
     Raises:
-        InputError: the text is not TOML, or a file is missing or has invalid contents. The message contains the name of the
-            file.
+        InputError: the text is not TOML, or a file is missing or has invalid contents. The error message contains the name of
+            the file.
     """
     data = parse_toml(text)
     replacements = [*_families(data, folder), *_laws(data, folder), *curve_tables(data, folder)]
@@ -45,7 +46,7 @@ def with_contents(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
 
 
 def with_sections(text: str, lines: Sequence[str]) -> str:
-    """Returns the text of a vehicle file with additional lines that contain sections of controllers.
+    """Returns the text of a vehicle file, to which lines with sections of controllers are added.
 
     Raises:
         InputError: the text has all controllers in one inline table. TOML does not allow additional sections if `controllers`
@@ -61,7 +62,8 @@ def with_sections(text: str, lines: Sequence[str]) -> str:
 
 
 def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
-    """Returns the text of a vehicle file for another folder. Paths of Python laws and FMUs become relative to that folder.
+    """Returns the text of a vehicle file after adapting it to a new folder. Paths of Python laws and FMUs become relative to
+    the new folder.
 
     Args:
         folder: folder to which the vehicle file is written.
@@ -69,7 +71,7 @@ def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
         laws: sources of the control laws, by controller.
 
     Raises:
-        InputError: the file of a law is not in the new folder or in a folder below it, as vehicle files require.
+        InputError: the file of a law is not in the new folder or in one of its subfolders, as vehicle files require.
     """
     replacements = []
     for name, law in laws.items():
@@ -82,7 +84,7 @@ def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
 def _entries(data: Mapping[str, Any], key: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yields the name and the section of each controller whose section contains a given key.
 
-    Values that are not sections are skipped, because other readers refuse them.
+    Values that are not sections are skipped, because other functions refuse these values.
     """
     controllers = data.get("controllers")
     for name, entry in controllers.items() if isinstance(controllers, dict) else ():

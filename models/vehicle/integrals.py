@@ -1,4 +1,4 @@
-"""Controllers and weights with an integrator: checks of the options with which they can be combined."""
+"""Checks that controllers and weights with an integrator can be combined with the other options of a vehicle file."""
 
 from collections.abc import Mapping
 
@@ -14,9 +14,9 @@ def check_integrals(
     """Checks that every integral in z has a finite norm, and that the designed law has a state for each of these integrals.
 
     Args:
-        entry: controller to check.
-        integrals: integrated signals in the output z of the vehicle, by name of the integrator state.
-        heard: sensor noise of the implementation, an rms value by signal.
+        entry: controller to be checked.
+        integrals: integrated signals in the controlled output z of the vehicle, by name of the integrator state.
+        heard: rms value of the implementation's sensor noise, by signal.
         sampled: True if the controllers are designed for the sampled loop.
 
     Raises:

@@ -30,11 +30,11 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
         content: bytes of the file.
 
     Returns:
-        The matrices or the gain by key, as in a vehicle file, and the sample period [s], which is None for a continuous or
-        static law.
+        The matrices or the gain by key, as in a vehicle file. The second value is the sample period [s]; None for a continuous
+        or static law.
 
     Raises:
-        InputError: the file does not have this format, or does not contain exactly one controller.
+        InputError: the file is not a MATLAB file of versions 4 to 7, or does not contain exactly one controller.
     """
     where, values = _only_controller(matlab_variables(content))
     matrices = {
@@ -56,7 +56,9 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
 
 
 def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Returns the only controller in a file: its place in the file (for messages), and its variables or fields by name."""
+    """Returns the only controller in a file: the controller's place in the file (for messages), and its variables or fields by
+    name.
+    """
     names = (*MATRICES, *OTHERS, "K", *TRANSFER, *PERIODS)
     places = {"the file": {name: value for name, value in variables.items() if name in names}}
     for name, value in variables.items():
@@ -79,7 +81,7 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
 
 
 def _as_matrices(where: str, values: dict[str, Any]) -> dict[str, Any]:
-    """Returns the matrices of a law by their usual names. A transfer function becomes a controllable canonical form."""
+    """Returns the matrices of a law by their usual names. A transfer function is converted to a controllable canonical form."""
     if both := [f"{other} and {name}" for other, name in OTHERS.items() if other in values and name in values]:
         raise InputError(f"{where} has both {both[0]}; keep one of them")
     values = {OTHERS.get(name, name): value for name, value in values.items()}
@@ -107,14 +109,14 @@ def _as_matrices(where: str, values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _numbers(name: str, value: Any) -> Array:
-    """Returns a matrix of real finite numbers. The size of the matrix is checked later, when the law is created."""
+    """Returns a matrix of real finite numbers. The size of the matrix is checked later, when the control law is created."""
     if value.dtype.kind in KINDS:
         raise InputError(f"{name} is {KINDS[value.dtype.kind]}, not a matrix of numbers; in MATLAB, call {SAVE}")
     return real_matrix(value, name, np.inf)[0]
 
 
 def _check_plain(matrices: Mapping[str, Any]) -> None:
-    """Raises InputError if the struct of a system has other fields that would change the law, such as delays."""
+    """Raises InputError if the struct of a system has further fields that would change the law, such as delays."""
     E = _numbers("E", matrices["E"]) if "E" in matrices else np.zeros((0, 0))
     if E.size and not np.array_equal(E, np.eye(len(E))):
         raise InputError("E is not the identity; in MATLAB, convert the system to x' = A x + B y with ss(sys, 'explicit')")

@@ -1,6 +1,6 @@
 """`[limits]` and `[implementation]` of a vehicle file: properties of a real car that linear analysis ignores.
 
-By default, there are no limits, and the implementation is ideal.
+By default, the vehicle has no limits, and the implementation is ideal.
 """
 
 import math
@@ -40,7 +40,7 @@ NO_PERIOD = (
 
 @dataclass(frozen=True)
 class LimitsSection(StopSection):
-    """Keys of `[limits]` in a vehicle file, without the sections of axles and corners."""
+    """Keys of `[limits]` in a vehicle file, without the sections for single axles and corners."""
 
     actuator_force: Annotated[float, SI("N", "largest force of every actuator, in both directions")] | None = None
     actuator_bandwidth: Annotated[float, SI("rad/s", "corner frequency of every actuator's first-order lag")] | None = None
@@ -63,7 +63,7 @@ class LimitsSection(StopSection):
 
 @dataclass(frozen=True)
 class Limits(LimitsSection):
-    """Limits of the hardware. None means that a limit does not exist.
+    """Limits of the hardware. An attribute None means that the limit does not exist.
 
     Attributes:
         places: names of axles and corners with different bump stops, each with its section.
@@ -75,7 +75,7 @@ class Limits(LimitsSection):
 
     @property
     def stopped(self) -> bool:
-        """True if the vehicle file gives any key of bump stops."""
+        """True if the vehicle file gives at least one key for bump stops."""
         return self.suspension_stroke is not None or self.stop_stiffness is not None or bool(self.places)
 
     def stops_at(self, corner: str) -> "BumpAndRebound | None":
@@ -83,13 +83,17 @@ class Limits(LimitsSection):
         return FEATURES.load("stops").stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
 
     def stops(self, suspensions: "Sequence[Suspension]") -> "dict[str, BumpAndRebound]":
-        """Returns the bump and rebound stops of a vehicle by deflection signal. Suspensions without stops are omitted."""
+        """Returns the bump and rebound stops of a vehicle, by the deflection signal of the suspension. Suspensions without
+        stops are omitted.
+        """
         by_deflection = {suspension.deflection: self.stops_at(suspension.corner) for suspension in suspensions}
         return {deflection: stops for deflection, stops in by_deflection.items() if stops is not None}
 
     @property
     def written(self) -> dict[str, str]:
-        """The given limits as text, by key, as in a vehicle file. A value for one side has the key `key.side`."""
+        """The limits that exist, as text by key, in the form of a vehicle file. A limit for one side (bump or rebound) has the
+        key `key.side`.
+        """
         given = {name: value for name, value in vars(self).items() if name != "places"}
         given |= {f"{place}.{key}": getattr(one, key) for place, one in self.places for key in STOP_KEYS}
         flat = dict[str, Any]()
@@ -100,9 +104,9 @@ class Limits(LimitsSection):
 
     @property
     def record(self) -> dict[str, Any]:
-        """The limits as a section that `read_limits` accepts. Limits that are not given are None.
+        """The limits in the form of a section that `read_limits` can read. Limits that the vehicle file does not give are None.
 
-        `limit`, `force_rate` and the stop table are omitted if they are not given.
+        If `limit`, `force_rate` or the stop table is not given, the section does not contain this key.
         """
         limits = asdict(self)
         places = {name: {key: one for key, one in place.items() if one is not None} for name, place in limits.pop("places")}
@@ -117,19 +121,19 @@ class Limits(LimitsSection):
 
     @property
     def limits_commands(self) -> bool:
-        """True if commands are limited before the actuator lag, as always with a rate limit."""
+        """True if commands are limited before the actuator lag, which is always the case with a rate limit."""
         return self.actuator_force is not None and (self.limit == "command" or self.force_rate is not None)
 
     @property
     def largest(self) -> tuple[float, float]:
-        """The largest command before the lag and the largest force after the lag [N]; infinite without a limit."""
+        """The largest command before the actuator lag and the largest force after the lag [N]; infinite without a limit."""
         if self.actuator_force is None:
             return math.inf, math.inf
         return self.actuator_force if self.limits_commands else MOST_ASKED, self.actuator_force
 
     @property
     def without_actuators(self) -> "Limits":
-        """The limits of the suspensions only."""
+        """The limits of the suspensions, without those of the actuators."""
         return replace(self, actuator_force=None, actuator_bandwidth=None, force_rate=None, limit=None)
 
     def without(self, part: str) -> "Limits":
@@ -139,7 +143,7 @@ class Limits(LimitsSection):
         return replace(self, actuator_bandwidth=None) if part == "lag" else self
 
     def phrases(self, suspensions: "Sequence[Suspension]") -> tuple[str, ...]:
-        """Describes the limits of a vehicle with these suspensions, one phrase per limit."""
+        """Describes the limits of a vehicle with one phrase per limit; `suspensions` are the suspensions of the vehicle."""
         phrases = []
         if self.stopped:
             phrases += FEATURES.load("stops").stop_words({part.corner: self.stops_at(part.corner) for part in suspensions})
@@ -154,14 +158,14 @@ class Limits(LimitsSection):
 
 
 def _text(value: Any) -> str:
-    """Returns a value of `[limits]` as text, as in a vehicle file."""
+    """Returns a value of `[limits]` as text, in the form that it has in a vehicle file."""
     if isinstance(value, tuple):
         return f"[{', '.join(f'{k:g}' for k in value)}]"
     return f"{value:g}" if isinstance(value, float | int) else str(value)
 
 
 def samples(count: float) -> str:
-    """Returns the given number of samples as text, in the singular if the printed number is 1."""
+    """Returns a number of samples as text, such as "2 samples" or "1 sample"."""
     number = f"{count:g}"
     return f"{number} sample{'s' * (number != '1')}"
 
@@ -172,7 +176,7 @@ def delay_text(delay: float) -> str:
 
 
 def _delay(value: Any, context: Mapping[str, Any]) -> float:
-    """Returns a delay in controller samples, as an int if the number is an integer."""
+    """Returns a delay in samples of the controller; the type is int if the number is an integer."""
     if not is_finite(value) or not 0 <= value <= MOST_DELAY:
         raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give a number from 0 to {MOST_DELAY}")
     return int(value) if value == int(value) else value
@@ -180,7 +184,8 @@ def _delay(value: Any, context: Mapping[str, Any]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CommandLimiter:
-    """Limiter of the commands of force actuators with a rate limit, for N runs. Runs without a rate limit are not changed.
+    """Limiter of the commands of force actuators with a rate limit, for N runs. The commands of runs without a rate limit are
+    not changed.
 
     Attributes:
         largest: largest command [N], shape (N, 1); infinity without a limit.
@@ -191,11 +196,11 @@ class CommandLimiter:
     change: Array
 
     def __call__(self, requested: Array, last: Array) -> Array:
-        """Returns the commands of a sample: the requested forces within the limits [N].
+        """Returns the commands of a sample [N]: the requested forces, limited in magnitude and rate.
 
         Args:
             requested: requested forces [N], shape (N, m).
-            last: commands of the previous sample [N], shape (N, m).
+            last: commands that were applied at the previous sample [N], shape (N, m).
         """
         clipped = np.minimum(np.maximum(requested, -self.largest), self.largest)
         return np.minimum(np.maximum(clipped, last - self.change), last + self.change)
@@ -205,8 +210,8 @@ def command_limiter(vehicles: Sequence[Any], timestep: float) -> CommandLimiter 
     """Returns the limiter for the commands of N vehicles; None if none of the vehicles has a rate limit.
 
     Args:
-        vehicles: the vehicles. If any of these vehicles has a rate limit, none may have semi-active dampers.
-        timestep: sample period of controllers that do not define one [s].
+        vehicles: the vehicles. If any of the vehicles has a rate limit, none of the vehicles may have semi-active dampers.
+        timestep: sample period of controllers that do not define a sample period [s].
     """
     if all(vehicle.limits.force_rate is None for vehicle in vehicles):
         return None
@@ -254,7 +259,9 @@ class Implementation(Section):
 
     @property
     def hold_intervals(self) -> tuple[tuple[float, int], ...]:
-        """Intervals of constant force within a sample period, each as its share of the period and its delay [samples]."""
+        """Intervals of constant force within a sample period, each with its share of the period and with the delay of its force
+        [samples].
+        """
         late = math.floor(self.delay)
         share = self.delay - late
         return ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
@@ -285,7 +292,7 @@ class Implementation(Section):
 
     @property
     def phrases(self) -> tuple[str, ...]:
-        """Description of the implementation, one phrase per property."""
+        """Description of the implementation with one phrase for each property."""
         phrases = []
         if self.sample_period is not None:
             phrases.append(f"a sample every {1e3 * self.sample_period:g} ms")
@@ -328,7 +335,7 @@ class ImplementationSection(Implementation):
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the section after converting a delay that the file gives as a time to samples."""
+        """Returns the section after converting a delay from a time to a number of samples, if the file gives a time."""
         delay, period = given.get("delay"), given.get("sample_period")
         if isinstance(delay, str) and (count := re.fullmatch(r"\s*(\d+\.?\d*) *samples?\s*", delay)):
             return {**given, "delay": float(count[1])}
@@ -368,13 +375,15 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
 
 
 def hold_intervals(implementation: Implementation, timestep: float) -> tuple[tuple[int, int], ...]:
-    """Returns the intervals of constant force within a sample period, each as its length [timesteps] and delay [samples]."""
+    """Returns the intervals of constant force within a sample period, each with its length [timesteps] and the delay of its
+    force [samples].
+    """
     steps = steps_per_sample(implementation, timestep)
     return tuple((round(share * steps), late) for share, late in implementation.hold_intervals)
 
 
 def check_period(name: str, period: float | None, implementation: Implementation) -> None:
-    """Checks that a law with its own sample period is implemented with this period.
+    """Checks that a law with a sample period of its own is implemented with the same sample period.
 
     Args:
         name: name of the controller, for the message.
@@ -382,7 +391,7 @@ def check_period(name: str, period: float | None, implementation: Implementation
         implementation: implementation of the vehicle.
 
     Raises:
-        InputError: the periods differ.
+        InputError: the sample period of the law differs from the sample period of the implementation.
     """
     if period is not None and implementation.sample_period != period:
         raise InputError(

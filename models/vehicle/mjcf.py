@@ -1,8 +1,8 @@
 """MuJoCo model of a vehicle, built by MjSpec from the MJCF of its type; and a test of whether the model is linear.
 
-A quarter-car moves only vertically, so it is linear for motions of any size within its limits. A body that pitches or rolls is
-nonlinear, and so is a spring that does not act along a joint. The test of linearity uses the compiled model, so it works for
-any vehicle type.
+A quarter-car moves only vertically, so its model is linear for motions of any size within its limits. The motion of a body that
+pitches or rolls is nonlinear, and so is the force of a spring that does not act along a joint. The test of linearity uses the
+compiled model, so it works for any vehicle type.
 """
 
 import contextlib
@@ -45,9 +45,9 @@ _quiet_lock, _quiet_users = threading.Lock(), [0]
 def quiet() -> Iterator[None]:
     """Keeps MuJoCo from writing MUJOCO_LOG.TXT.
 
-    The file is not needed, because other checks detect and report the same problems.
+    The file is not needed, because other checks detect and report the problems that MuJoCo writes into the file.
 
-    All threads share one warning handler.
+    MuJoCo has one warning handler for all threads.
     """
     with _quiet_lock:
         _quiet_users[0] += 1
@@ -112,7 +112,7 @@ _read_shipped = functools.lru_cache(maxsize=16)(_read)
 
 
 def _compile_model(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Returns the compiled model with the vehicle's parameters."""
+    """Returns the compiled MuJoCo model with the parameters of the vehicle."""
     try:
         with quiet():
             return spec.compile()
@@ -131,7 +131,7 @@ def _error_text(error: Exception) -> str:
 
 
 def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
-    """Writes the largest force and the lag of `[limits]` into every actuator."""
+    """Writes the largest force and the actuator lag in `[limits]` into every actuator of the model."""
     limits = vehicle.limits
     for actuator in spec.actuators:
         if actuator.name.startswith(FITTED_PREFIX):
@@ -149,7 +149,7 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
 
 
 def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
-    """Writes nonlinear parts of suspensions, and sensors for those suspension velocities that are signals.
+    """Adds the nonlinear parts of suspensions to the model, and sensors for those suspension velocities that are signals.
 
     A part that MuJoCo cannot represent with its own elements gets a motor on the tendon of its suspension.
     """
@@ -204,7 +204,8 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
     Args:
         vehicle: vehicle whose model is built.
         timestep: integration step [s].
-        drawn: False to omit visual parts. Without visual parts, a step gives the same numbers, but takes about 5 % less time.
+        drawn: False to omit visual parts. Without visual parts, a simulation step gives the same numbers, but takes about 5 %
+            less time.
 
     Raises:
         InputError: `build_spec` raises this error, or the model does not match the equations of motion.
@@ -218,7 +219,7 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
 
 
 def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model without a sensor, body or other name that the equations of motion use."""
+    """Refuses a model that lacks the name of a sensor, a body or another object that the equations of motion use."""
     kind, missing = vehicle.kind, []
     sensors = {model.sensor(i).name for i in range(model.nsensor)}
     parts = [part for name in vehicle.sensed_signals for part in kind.combined.get(name, {name: 1.0})]
@@ -244,7 +245,7 @@ def _inputs(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model that cannot start at qpos = 0, or whose sensors cannot be evaluated."""
+    """Refuses a model for which a run cannot start at qpos = 0, or whose sensors cannot be evaluated."""
     where = f"MJCF {vehicle.kind.mjcf}"
     actuators = _inputs(model)
     if actuators != vehicle.linear_model.inputs:
@@ -276,7 +277,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     """Refuses a model whose tyres cannot be fully compressed.
 
-    If the road rose above the hub, the tyre in MuJoCo would become longer again.
+    If the road rose above the hub, the tyre in MuJoCo would become longer again instead of shorter.
     """
     kind, data = vehicle.kind, mujoco.MjData(model)
 
@@ -302,22 +303,23 @@ def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 
 
 def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
-    """Returns the MJCF of the model that `build_model` compiles, with exact numbers, as it is written to logs."""
+    """Returns the MJCF text of the model that `build_model` compiles, with exact numbers, for logs."""
     spec = build_spec(vehicle, timestep)
     spec.compiler.savecompiled = False  # MuJoCo would round the compiled values to six digits
     return spec.to_xml()
 
 
 def pushed_dofs(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
-    """Returns the degree of freedom on which each load of the vehicle type acts."""
+    """Returns the index of the degree of freedom on which each load of the vehicle type acts."""
     return [int(model.joint(load.joint).dofadr[0]) for load in vehicle.kind.loads]
 
 
 def damped_tyres(vehicle: Vehicle, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
-    """Returns the wheels whose tyres have damping, and their actuators. The road velocity controls these actuators.
+    """Returns the wheels whose tyres have damping, and the actuator of each of these wheels. The control input of each actuator
+    is the road velocity under the actuator's wheel.
 
     Returns:
-        Indices of these wheels, and the index of each wheel's actuator.
+        Indices of the wheels whose tyres have damping, and the index of each wheel's actuator.
     """
     if not vehicle.linear_model.tyres_damp:
         return [], []
@@ -342,12 +344,13 @@ TRIALS = 3
 
 @functools.lru_cache(maxsize=16)
 def has_geometry(vehicle: Vehicle) -> bool:
-    """Returns True if the model is linear for small motions only, whatever its parameters.
+    """Returns True if the model is linear for small motions only, whatever the values of its parameters are.
 
-    The model is nonlinear for one of three reasons. Masses, weights or lever arms of tendons and actuators may change with the
-    position. A spring or damper may be a polynomial. A sensor may measure more than a sum of positions, velocities and
-    accelerations, for example the velocity of a point on a rotating body. For such a sensor, half of a motion does not give
-    half of the measurement. The test prescribes the motion, and ignores the forces that would be needed for it.
+    The model is nonlinear for one of three reasons. First, masses, weights, or lever arms of tendons and actuators may change
+    with the position. Second, the force of a spring or damper may be a polynomial. Third, a sensor may measure more than a sum
+    of positions, velocities and accelerations, such as the velocity of a point on a rotating body. For a nonlinear sensor, half
+    of a motion does not give half of the measurement. The test prescribes the motion, and ignores the forces that the motion
+    would need.
     """
     model = build_model(replace(vehicle, limits=Limits()), 1e-3, drawn=False)
     if any(map(np.any, (model.jnt_stiffnesspoly, model.dof_dampingpoly, model.tendon_stiffnesspoly, model.tendon_dampingpoly))):
@@ -356,7 +359,9 @@ def has_geometry(vehicle: Vehicle) -> bool:
     names = list(dict.fromkeys(part for name in vehicle.sensed_signals for part in combined.get(name, {name: 1.0})))
 
     def read(motion: Array) -> tuple[list[Array], Array]:
-        """Returns the model's matrices and the sensor values at given positions, velocities and accelerations, shape (3, n)."""
+        """Returns the model's matrices and the sensor values for a motion: positions, velocities and accelerations, shape (3,
+        n).
+        """
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = motion[0], motion[1]
         mujoco.mj_forward(model, data)

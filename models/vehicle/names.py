@@ -32,7 +32,9 @@ def check_name(where: str, name: str, taken: Collection[str]) -> None:
 
 
 def _is_name(name: str) -> bool:
-    """Returns True if a name has only allowed characters. Vowel signs, as in Hindi and Thai, count as parts of letters."""
+    """Returns True if a name has only allowed characters. Vowel signs, as in Hindi and Thai, count as parts of letters, which
+    are allowed.
+    """
     kinds = ["L" if letter.isalnum() else "-" if letter in "_-" else unicodedata.category(letter) for letter in name]
     return "L" in kinds and {*kinds} <= {"L", "-", "Mn", "Mc"} and kinds[0] not in ("Mn", "Mc") and not name.startswith("-")
 
@@ -52,7 +54,7 @@ RIG = re.compile(rf"rig:file=(?P<path>.+\.(?P<suffix>csv|txt)){SETTINGS}", re.IG
 
 
 def named_file(text: str) -> tuple[str, str] | None:
-    """Returns the file in the text of a road, and the type of the road description: "rig" or "profile".
+    """Returns the path of the file in the text of a road, and the type of road that the text describes: "rig" or "profile".
 
     Returns None if the text does not contain a file.
     """
@@ -76,13 +78,13 @@ PART_SEPARATOR = re.compile(
 
 
 def split_off(text: str) -> tuple[str, list[str]]:
-    """Splits a text such as `bump + brake:g=0.5 + push.csv` into its road and its loads."""
+    """Splits a text such as `bump + brake:g=0.5 + push.csv` into the text of the road and the texts of the loads."""
     road, *loads = PART_SEPARATOR.split(text)
     return road, loads
 
 
 def named_files(texts: Iterable[str | None]) -> list[Path]:
-    """Returns the files that the texts of roads and loads refer to."""
+    """Returns the paths of the files to which the texts of roads and loads refer."""
     from models.common.files import path_from
 
     parts = (part.strip() for text in texts if text for road, loads in (split_off(text),) for part in (road, *loads))
@@ -95,7 +97,7 @@ def is_load_file(text: str) -> bool:
 
 
 def run_without(names: Iterable[str], part: str) -> list[str]:
-    """Returns the controllers whose runs change if a part of the limits or of the implementation is omitted.
+    """Returns the controllers whose runs change if a part of the limits or implementation is omitted.
 
     The run of the passive vehicle changes only if the omitted part is `limits`.
     """
@@ -125,6 +127,6 @@ def logged_part(name: str, controller: str) -> str:
 
 
 def without_copies(names: Iterable[str]) -> list[str]:
-    """Returns the names of controllers, but omits copies with a published gain, such as the copy `I_printed` of `I`."""
+    """Returns the names of controllers without copies that have a published gain, such as the copy `I_printed` of `I`."""
     every = list(names)
     return [name for name in every if name.removesuffix(COPY) not in every or not name.endswith(COPY)]

@@ -1,14 +1,14 @@
 """`[payload]` of a vehicle file: point masses on the body, including their inertia.
 
-The body has the mass M and the moments of inertia I_pitch and I_roll about its centre of mass. A point mass m at (x, z)
-relative to this centre (ISO 8855: x forward, z up) changes these moments of inertia to
+The unladen body has the mass M and the moments of inertia I_pitch and I_roll about its centre of mass. A point mass m at (x, z)
+relative to the body's centre of mass (ISO 8855: x forward, z up) changes the moments of inertia to
 
     M' = M + m,    I_pitch' = I_pitch + mu (x^2 + z^2),    I_roll' = I_roll + mu z^2,    mu = M m / (M + m),
 
-where I_pitch' and I_roll' are about the common centre of mass of body and payload, which is at m / (M + m) (x, z). Because the
-springs are linear, the laden car has the same equations of motion with these parameters. The equations describe the motion of
-the laden car about its equilibrium, in which the weight of the payload compresses the suspensions. A motion ratio that depends
-on travel is shifted to the laden equilibrium.
+where the moments of inertia I_pitch' and I_roll' are about the centre of mass of body and payload, at m / (M + m) (x, z).
+Because the springs are linear, the laden car has the same equations of motion as the unladen car, with the changed parameters.
+The equations describe the motion of the laden car about its equilibrium, in which the weight of the payload compresses the
+suspensions. The table of a motion ratio that depends on travel is shifted to the laden equilibrium.
 """
 
 import math
@@ -36,7 +36,7 @@ TURNS = (PITCH_LOAD.name, ROLL_LOAD.name)
 
 @dataclass(frozen=True)
 class PayloadSection(Section):
-    """Section of a point mass on the body."""
+    """Section that describes a point mass on the body."""
 
     hints: ClassVar[Mapping[str, str]] = {
         "y": "is not allowed, as the mass must be on the centre line; use --load payload:y=... for a weight there"
@@ -61,10 +61,10 @@ def apply_payload(
         kind: vehicle type.
         parameters: parameters of the unladen vehicle [SI], by name.
         limits: limits of the unladen vehicle.
-        curves: characteristics by parameter.
+        curves: characteristics, by the parameter that each characteristic replaces.
 
     Raises:
-        InputError: a key or value is not allowed, or the vehicle cannot carry this payload.
+        InputError: a key or value is not allowed, or the vehicle cannot carry the payload.
     """
     several = any(isinstance(one, Mapping) for one in section.values())
     if several and (own := [key for key, one in section.items() if not isinstance(one, Mapping)]):
@@ -135,8 +135,8 @@ def _limits_at_laden_rest(
         load: loads of the payload [N, N m], by name.
         limits: limits of the unladen vehicle.
         parameters: parameters of the vehicle [SI], by name.
-        known: deflections of the springs that are already known [m], by name; the linear model gives the deflections of the
-            other springs.
+        known: deflections of springs that are already known [m], by name; all other deflections are computed from the linear
+            model.
     """
     stops = limits.stops(kind.suspensions)
     if not stops:

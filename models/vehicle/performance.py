@@ -1,6 +1,6 @@
 """`[performance]` of a vehicle file: the rows of the controlled output z (34).
 
-Each row is a weighted signal or sum of signals.
+Each row of z is a weighted signal or a weighted sum of signals.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,9 +24,9 @@ class WeightedSum:
     """Row of z: a weighted sum of signals, optionally with a filter.
 
     Attributes:
-        name: name of the sum, or of its only signal.
+        name: name of the sum; for a single signal, name of the signal.
         weight: weight of the sum, above 0.
-        terms: factor of each signal.
+        terms: factor of each signal in the sum.
         filter: filter from the weighted sum to z; None for a row without a filter.
     """
 
@@ -39,12 +39,12 @@ class WeightedSum:
 
     @property
     def text(self) -> str:
-        """The sum as a formula with signal names."""
+        """The weighted sum as a formula with the names of the signals."""
         return " + ".join(f"{factor:g} {signal}" for signal, factor in self.terms.items()).replace("+ -", "- ")
 
 
 class Weight(SI):
-    """A weight: 0, or a number in the allowed range of weights."""
+    """Key whose value is a weight: 0, or a number in the allowed range of weights."""
 
     def number(self, what: str, value: Any) -> float:
         """Returns the weight. `what` is the name of the weight in error messages."""
@@ -58,7 +58,9 @@ WEIGHT = Weight("", "weight in the performance output, per SI unit of the signal
 
 
 def _terms(value: Any, context: Mapping[str, Any]) -> dict[str, float]:
-    """Returns the factors of the signals in a sum. `context["outputs"]` contains the names of the output signals."""
+    """Returns the factors by which the signals in a sum are multiplied. `context["outputs"]` contains the names of the output
+    signals.
+    """
     outputs = context["outputs"]
     if not isinstance(value, Mapping) or not value or not all(is_number(one) and one for one in value.values()):
         raise InputError(
@@ -72,7 +74,9 @@ def _terms(value: Any, context: Mapping[str, Any]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class WeightSection(FilterSection):
-    """Section of a signal or of a sum of signals in `[performance]`. A number instead of a section is the weight."""
+    """Section of a signal or of a sum of signals in `[performance]`. If the key has a number instead of a section, the number
+    is the weight.
+    """
 
     integrates: ClassVar[bool] = True
 
@@ -81,7 +85,7 @@ class WeightSection(FilterSection):
 
     @cached_property
     def shape(self) -> Filter | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The filter; None for a sum with a constant weight."""
+        """The filter of the row; None for a sum with a constant weight."""
         unshaped = self.filter is self.numerator is self.denominator is None
         return None if unshaped and self.sum is not None else super().shape
 

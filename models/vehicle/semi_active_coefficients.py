@@ -1,4 +1,4 @@
-"""Coefficients of semi-active control laws for given vehicles."""
+"""Coefficients of semi-active control laws for the vehicles on which these laws act."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> LawCoefficients:
     """Returns the coefficients of N semi-active laws with the same name, for N vehicles of one type.
 
-    By default, a damper between body and sky, or between wheel and ground, has the coefficient c_max at the wheel. By default,
-    the damper between a body mode and the sky has the coefficient of the sky damper.
+    By default, the virtual damper between body and sky, or between wheel and ground, has the coefficient c_max at the wheel. By
+    default, the damper between a body mode and the sky has the same coefficient as the sky damper.
     """
     dampers = [[damper.damper for damper in vehicle.parts.adjustable] for vehicle in vehicles]
     c_min, c_max = (np.array([[getattr(damper, name) for damper in row] for row in dampers]) for name in ("c_min", "c_max"))
@@ -52,7 +52,9 @@ def _stiffness(vehicle: Vehicle) -> list[float]:
 
 
 def _modes(law: SemiActiveLaw, vehicle: Vehicle) -> Array:
-    """Returns the factors from the velocities of b body modes to the velocities at m suspensions, shape (b, m)."""
+    """Returns the factors by which the velocities of b body modes contribute to the body's velocities at m suspensions, shape
+    (b, m).
+    """
     if not law.modes:
         return np.zeros((0, len(law.endings)))
     model = vehicle.linear_model
@@ -61,13 +63,13 @@ def _modes(law: SemiActiveLaw, vehicle: Vehicle) -> Array:
 
 
 def numbers_at(numbers: LawCoefficients, of: "CoefficientRange", closing: Array, which: Array | slice) -> LawCoefficients:
-    """Returns the coefficients for given velocities, with the limits of nonlinear dampers at these velocities.
+    """Returns the coefficients of semi-active laws, with the limits that nonlinear dampers have at the closing velocities.
 
     Args:
-        numbers: coefficients for linear dampers.
-        of: ranges of the coefficients of the dampers of N vehicles.
+        numbers: coefficients of the laws for linear dampers.
+        of: ranges of the damping coefficients that the dampers of N vehicles can have.
         closing: closing velocity of each suspension [m/s], not 0, shape (..., m).
-        which: selected vehicles out of N.
+        which: indices of the selected vehicles among the N vehicles.
     """
     if not of.curved:
         return numbers

@@ -21,11 +21,11 @@ def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:
     """Returns the sketch of a vehicle of any type, seen from the side and, if it has two tracks, from behind.
 
     A vehicle with all wheels in one cross-section is drawn only from behind. If a vehicle type does not use the usual names of
-    parameters, the sketch shows its wheels and suspensions with the symbols k, c and m.
+    parameters, the sketch shows the wheels and suspensions with the symbols k, c and m.
 
     Args:
         vehicle: vehicle to draw.
-        computer: False to omit the sensors and the computer.
+        computer: False to omit the sensors and the computer from the sketch.
     """
     kind, given = vehicle.kind, vehicle.parameters
     symbols = {one.name: word[0] for one in kind.parameters if (word := FIRST_WORD.match(one.meaning)) is not None}
@@ -63,7 +63,7 @@ def _axle(wheel: Wheel) -> str:
 
 
 def _strut(vehicle: Vehicle, wheel: Wheel, place: float, name: str, symbols: dict[str, str]) -> Strut:
-    """Returns a wheel and its suspension, and assigns symbols to parameters without a symbol."""
+    """Returns the strut of a wheel and its suspension, and assigns symbols to parameters that have no symbol."""
     kind, ending = vehicle.kind, wheel.tyre_deflection.removeprefix(TYRE_DEFLECTION.name)
     one = next((one for one in kind.suspensions if one.ending == ending or one.deflection == wheel.tyre_deflection), None)
     # If there is no wheel, the suspension element itself touches the road
@@ -94,7 +94,7 @@ def _strut(vehicle: Vehicle, wheel: Wheel, place: float, name: str, symbols: dic
 
 
 def _box(how: Implementation) -> tuple[str, ...]:
-    """Returns short lines of text about the computer."""
+    """Returns short lines of text about the computer that runs the controller."""
     period, late, noise = how.sample_period, how.delay, how.noise_text
     lines = [f"every {1e3 * period:g} ms"] if period is not None else []
     lines += [f"{1e3 * late * period:g} ms late" if period is not None else f"{late:g} steps late"] if late else []
@@ -102,7 +102,9 @@ def _box(how: Implementation) -> tuple[str, ...]:
 
 
 def _parameters(vehicle: Vehicle, symbols: dict[str, str]) -> Iterator[tuple[str, str, str]]:
-    """Yields a row for each parameter. A parameter that exists for both axles or both sides has a single row."""
+    """Yields a row (symbol, meaning and value) for each parameter of the vehicle. A parameter that exists for both axles or for
+    both sides has only one row.
+    """
     known, groups = {one.name: one for one in vehicle.kind.parameters}, dict[str, dict[str, str]]()
     for name, value in vehicle.parameters.items():
         if value or known[name].usual != 0:
@@ -123,7 +125,7 @@ def _number(value: float, unit: str) -> str:
 
 
 def _hardware(vehicle: Vehicle, computer: bool) -> Iterator[tuple[str, str, str]]:
-    """Yields rows about force elements, semi-active dampers, strokes and other limits, sensors and the computer."""
+    """Yields rows about force elements, semi-active dampers, limits (such as strokes), sensors and the computer."""
     kinds: dict[type, str] = {section: name.replace("_", " ") for name, section in element_kinds().items()}
     for one in vehicle.elements:
         given = {key.partition(".")[2].replace("_", " "): (value, si.unit) for key, (value, si) in one.numbers.items() if value}

@@ -1,4 +1,4 @@
-"""Nonlinear suspension forces for simultaneous runs (sums of the forces of all parts), and motion ratios of inputs."""
+"""Nonlinear suspension forces (sums of the forces of all parts) and motion ratios of inputs, for simultaneous runs."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -15,28 +15,28 @@ if TYPE_CHECKING:
 
 
 class SuspensionForces:
-    """Suspension forces of N vehicles of one type, in addition to the forces in their linear models.
+    """Suspension forces of N vehicles of one type that act in addition to the forces in the linear models of these vehicles.
 
     The forces act between body and wheel, and are positive if they pull body and wheel together. The linear model contains the
     linearised force of each part, and the force of each actuator multiplied by the motion ratio in equilibrium.
 
     Attributes:
-        acts: True for each suspension that has a force in addition to the linear model, shape (s,).
-        states: number k of the parts' internal states, whose order is that of `VehicleKind.of_parts`.
-        moves: True if the rate of an internal state differs from its rate in the linear model.
-        inertial: True if a part has an inertance in addition to the linear model.
+        acts: True for each suspension that has a force in addition to those in the linear model, shape (s,).
+        states: number k of internal states of parts; the states are in the order of `VehicleKind.of_parts`.
+        moves: True if the time derivative of an internal state differs from its value in the linear model.
+        inertial: True if a part has an inertance that is not in the linear model.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], by_motor: bool = False, whole: bool = True, contacts: bool = True) -> None:
         """Prepares the computation of the forces for N vehicles, or for one vehicle in any number of runs.
 
         Args:
-            vehicles: the N vehicles, or one vehicle.
+            vehicles: the N vehicles, or one vehicle for any number of runs.
             by_motor: True to include only parts that MuJoCo cannot represent with its own elements.
             contacts: False to omit parts that have no effect within the linear range, such as bump stops.
-            whole: True to add the linearised forces of the elements of `[parts]`. Linear models contain these forces, but the
-                equations of motion of the vehicle types do not. The rates of internal states are then complete. Otherwise, they
-                are deviations from the linear model.
+            whole: True to add the linearised forces of the elements of `[parts]`. Linear models contain the linearised forces,
+                but the equations of motion of the vehicle types do not. If `whole` is True, the time derivatives of internal
+                states are complete; otherwise, they are deviations from the linear model.
         """
         suspensions, inputs = vehicles[0].kind.suspensions, vehicles[0].linear_model.inputs
         rows = [_forces(vehicle, by_motor, whole, contacts) for vehicle in vehicles]
@@ -63,7 +63,7 @@ class SuspensionForces:
 
     @property
     def moves(self) -> bool:
-        """True if the rate of an internal state of a part differs from its rate in the linear model."""
+        """True if the time derivative of a part's internal state differs from its value in the linear model."""
         return any(len(kept) for _, _, kept, _ in self._stacks)
 
     def __call__(self, d: Array, v: Array, inputs: Array, z: Array | None = None) -> Array:
@@ -71,7 +71,7 @@ class SuspensionForces:
 
         Args:
             d: suspension deflections at the wheels [m], shape (..., N, s).
-            v: rates of the deflections [m/s], shape (..., N, s).
+            v: time derivatives of the suspension deflections at the wheels [m/s], shape (..., N, s).
             inputs: actuator forces [N], and coefficients of semi-active dampers relative to the nominal coefficients [N s/m],
                 shape (..., N, m).
             z: internal states of the parts, shape (..., N, k).
@@ -94,7 +94,7 @@ class SuspensionForces:
         return total
 
     def rates(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
-        """Returns the rates of the parts' internal states, shape (..., N, k). For the arguments, see `__call__`."""
+        """Returns the time derivatives of the parts' internal states, shape (..., N, k). For the arguments, see `__call__`."""
         rates = np.zeros(z.shape)
         for _, kept, parts, at in self._at(d, v, inputs, z) if self.states else ():
             if len(kept):
@@ -102,7 +102,9 @@ class SuspensionForces:
         return rates
 
     def _at(self, d: Array, v: Array, inputs: Array, z: Array | None) -> Iterator[tuple[Array | slice, Array, Stack, Any]]:
-        """Yields parts that are evaluated together, with their suspensions, internal states and arguments of the force."""
+        """Yields groups of parts that are evaluated together, each with its suspensions, internal states and the arguments of
+        its forces.
+        """
         for columns, own, kept, parts in self._stacks:
             states = None
             if z is not None and len(kept):
@@ -113,8 +115,8 @@ class SuspensionForces:
 def _forces(vehicle: Vehicle, by_motor: bool, whole: bool, contacts: bool) -> list[tuple[int, Part, bool, int]]:
     """Returns a row for each part of a vehicle.
 
-    A row contains the index of the suspension, the part, and True if the linearised force of the part is included. The last
-    entry of a row is the index of the part's first internal state.
+    A row contains the index of the suspension, the part, and a flag that is True if the linearised force of the part is
+    included. The last entry of a row is the index of the part's first internal state.
     """
     forces = list[tuple[int, Part, bool, int]]()
     if not vehicle.parts:
@@ -140,7 +142,7 @@ class MotionRatios:
     """
 
     def __init__(self, vehicles: Sequence[Vehicle]) -> None:
-        """Reads the motion ratios of the vehicles."""
+        """Stores the motion ratios of the vehicles."""
         first, self._tables = vehicles[0], dict[str, "list[tuple[RatioTable, Array | slice, Array]]"]()
         self._inputs, self._places = first.linear_model.inputs, {one.force: i for i, one in enumerate(first.kind.suspensions)}
         self._at_rest = {force: np.array([one.motion_ratios[force] for one in vehicles]) for force in self._inputs}
@@ -154,14 +156,15 @@ class MotionRatios:
         self.over_travel = tuple(self._tables)
 
     def of(self, force: str, deflection: Array) -> Array:
-        """Returns the motion ratio of an input at given deflections of its suspension [m], shape (..., N)."""
+        """Returns the motion ratio of an input at the deflections of the input's suspension [m], shape (..., N)."""
         ratios = np.broadcast_to(self._at_rest[force], deflection.shape).copy()
         for table, runs, factor in self._tables.get(force, ()):
             ratios[..., runs] = factor * table(deflection[..., runs])
         return ratios
 
     def travel(self, force: str, deflection: Array) -> Array:
-        """Returns the travel of an actuator from equilibrium [m], the integral of its motion ratio.
+        """Returns the travel of an actuator from equilibrium [m], which is the integral of the actuator's motion ratio over the
+        deflection.
 
         For the arguments, see `of`.
         """
@@ -171,11 +174,11 @@ class MotionRatios:
         return travels
 
     def turn(self, force: str, deflection: Array) -> Array:
-        """Returns the motion ratio of an input relative to the ratio in equilibrium, shape (..., N)."""
+        """Returns the motion ratio of an input divided by the ratio in equilibrium, shape (..., N)."""
         return self.of(force, deflection) / self._at_rest[force]
 
     def turns(self, travels: Array) -> Array:
-        """Returns the motion ratio of every input relative to the ratio in equilibrium, shape (..., N, m).
+        """Returns the motion ratio of every input divided by the ratio in equilibrium, shape (..., N, m).
 
         Args:
             travels: deflections of the suspensions [m], shape (..., N, s).

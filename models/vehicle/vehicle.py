@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 
 def kinds(folder: Path = HERE) -> list[str]:
-    """Returns the vehicle types in a folder, sorted: every name for which an equation file (`.py`) and an MJCF (`.xml`) exist.
+    """Returns the sorted names of the vehicle types in a folder: all names with an equation file (`.py`) and an MJCF (`.xml`).
 
     Args:
         folder: the folder; by default, the folder of the built-in vehicle types.
@@ -75,7 +75,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
         folder: folder with the files `name.py` and `name.xml` of a custom type; None to allow only built-in types.
 
     Raises:
-        InputError: the vehicle type does not exist, or the code of a custom type is wrong.
+        InputError: the vehicle type does not exist, or the code of a custom vehicle type is wrong.
     """
     if name in kinds():
         return importlib.import_module(f"models.{name}").KIND
@@ -96,7 +96,7 @@ def in_plane(name: str, plane: str) -> str:
     """Returns the vehicle type of a vehicle file that gives a plane of motion in addition to its `type`.
 
     Raises:
-        InputError: the plane is not available for this type.
+        InputError: the plane of motion is not available for the vehicle type.
     """
     planes = PLANES.get(name, {})
     if plane not in planes:
@@ -109,7 +109,7 @@ def in_plane(name: str, plane: str) -> str:
 
 @dataclass(frozen=True)
 class VehicleFile(Section):
-    """The sections of a vehicle file as raw tables. A separate reader reads each section."""
+    """The sections of a vehicle file as tables that have not been checked. Each section is read by a function of its own."""
 
     type: Annotated[str, Text('vehicle type, above the first section: `type = "quarter_car"`', ', as in type = "quarter_car"')]
     parameters: Annotated[Entries, AnyTable("parameters of the vehicle type, as `roadproof new` writes them")]
@@ -139,27 +139,28 @@ PERSON = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Vehicle(ShownResult):
-    """Vehicle of a vehicle file: vehicle type, parameters, weights, controllers and hardware.
+    """Vehicle that a vehicle file describes: vehicle type, parameters, weights, controllers and hardware.
 
-    `read_vehicle` and `parse_vehicle` create vehicles.
+    The functions `read_vehicle` and `parse_vehicle` create vehicles.
 
     Attributes:
-        kind: vehicle type: equations and MJCF.
+        kind: vehicle type, which contains the equations of motion and the MJCF.
         parameters: values of the parameters [SI], by name.
         performance: weight of each signal in the controlled output z (34).
         controllers: controllers by name, without `passive` and `state`, which always exist.
         text: text of the vehicle file. The matrices of control laws replace the names of the files that contain them, so the
-            text can be stored in logs. Control laws in Python remain file names.
-        source: path of the file, for messages.
+            text can be stored in logs. For control laws in Python, the text still contains the file names.
+        source: path of the vehicle file, for messages.
         limits: limits of actuators and suspensions.
         implementation: sampling, delay, noise and quantisation of the controller.
-        named_files: other files that the vehicle file names, with matrices, vehicle families or tables.
-        filters: filter from a weighted signal to z, by signal; signals of constant weight do not have a filter.
+        named_files: files with matrices, vehicle families or tables that the vehicle file names.
+        filters: filter from each weighted signal to z, by name of the signal; signals with a constant weight do not have a
+            filter.
         road_filter: filter from the disturbance w to the road velocity under every wheel; None if w is the road velocity.
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
         curves: characteristics of nonlinear dampers and springs, by the parameter that each characteristic replaces.
         dampers: semi-active dampers that replace actuators, by name of the control force.
-        sums: weighted sums of signals in z (34); their rows follow the rows of single signals.
+        sums: weighted sums of signals in z (34); in z, the rows of sums follow the rows of single signals.
         elements: force elements of `[parts]`.
         force_limits: limits of the force actuators, for controllers with `actuators = "force"` on a vehicle with semi-active
             dampers; None for vehicles without semi-active dampers.
@@ -211,12 +212,13 @@ class Vehicle(ShownResult):
         """Returns the vehicle with a new initial state for its runs, for drop and release tests.
 
         Args:
-            start: initial states [SI], or texts with a unit, such as "20 mm". The names are states of the linear model, such as
-                `suspension_deflection`, or `height`, the height by which the whole vehicle is lifted above the road. All other
-                states start in equilibrium. Without arguments, the whole vehicle starts in equilibrium.
+            start: initial values of states [SI], or texts with a unit, such as "20 mm". The names are states of the linear
+                model, such as `suspension_deflection`, or `height`, the height by which the whole vehicle is lifted above the
+                road. States that are not named start in equilibrium. Without arguments, the whole vehicle starts in
+                equilibrium.
 
         Returns:
-            A copy of the vehicle with this initial state.
+            A copy of the vehicle with the new initial state.
 
         Raises:
             InputError: a name is unknown, or a value is not a number in the unit of its state.
@@ -235,7 +237,7 @@ class Vehicle(ShownResult):
 
     @cached_property
     def start_state(self) -> Array | None:
-        """Initial state of runs relative to equilibrium, shape (n,); None for a start in equilibrium."""
+        """State from which runs start, relative to equilibrium, shape (n,); None for a start in equilibrium."""
         if not self.start:
             return None
         model = self.linear_model
@@ -247,7 +249,7 @@ class Vehicle(ShownResult):
         """Returns the vehicle with new values of some parameters. The controllers of the vehicle do not change.
 
         Args:
-            parameters: values [SI], or texts with a unit, such as "450 kg". The method warns about improbable values.
+            parameters: new values [SI], or texts with a unit, such as "450 kg". The method warns about improbable values.
 
         Returns:
             A copy of the vehicle with the new parameters.
@@ -270,11 +272,11 @@ class Vehicle(ShownResult):
     def altered(self, values: Mapping[str, float], **fields: Any) -> "Vehicle":
         """Returns the vehicle with new values of some parameters, without checks.
 
-        Preloaded springs carry the new static loads.
+        Preloaded springs carry the static loads that belong to the new parameters.
 
         Args:
-            values: new values [SI] by parameter.
-            fields: new values of other fields of the vehicle.
+            values: new values [SI] by name of the parameter.
+            fields: new values of further fields of the vehicle, by name of the field.
         """
         parameters = {**self.parameters, **values}
         if self.curves:
@@ -288,7 +290,7 @@ class Vehicle(ShownResult):
 
     @cached_property
     def parts(self) -> Parts:
-        """Suspension forces at the wheels, in addition to the forces of linear springs and dampers."""
+        """Suspension forces at the wheels that act in addition to the forces of linear springs and dampers."""
         if not (self.curves or self.dampers or self.kind.ratios or self.limits.stopped or self.elements):
             return Parts()
 
@@ -314,7 +316,7 @@ class Vehicle(ShownResult):
         return self._with_lines(self.kind.model(self.parameters))
 
     def _with_lines(self, model: LinearModel) -> LinearModel:
-        """Returns a linear model of the vehicle type with the linearised forces of all parts added."""
+        """Returns a linear model of the vehicle type, to which the linearised forces of all parts are added."""
         more = [one for one in self.parts if one.added_line.sloped] if self.elements else []
         if not more:
             return model
@@ -340,8 +342,8 @@ class Vehicle(ShownResult):
             deflections: names of the deflection signals of e suspensions.
 
         Returns:
-            Effects per unit force on the derivatives of the n states, shape (n, e), and on the p outputs, shape (p, e). If a
-            part has an inertance, a share of each force accelerates this inertance.
+            Effects of a unit force on the derivatives of the n states, shape (n, e), and on the p outputs, shape (p, e). If a
+            part has an inertance, a share of each force accelerates the inertance.
         """
         from models.kinds.at_wheels import force_effects
 
@@ -360,12 +362,12 @@ class Vehicle(ShownResult):
 
     @cached_property
     def ride_points(self) -> RidePoints:
-        """The points of the vehicle at which the ride is measured."""
+        """The points of the vehicle at which ride comfort is measured."""
         return self.kind.ride_points(self.linear_model)
 
     @cached_property
     def motion_ratios(self) -> Mapping[str, float]:
-        """Motion ratio of every force, in the order of the linear model's inputs."""
+        """Motion ratio of every control force, in the order of the linear model's inputs."""
         return self.kind.motion_ratios(self.parameters, self.linear_model.inputs)
 
     @property
@@ -410,7 +412,7 @@ class Vehicle(ShownResult):
 
     @cached_property
     def with_force_actuators(self) -> "Vehicle":
-        """The vehicle with the force actuators that controllers with `actuators = "force"` drive, within `[limits]`."""
+        """The vehicle with the force actuators that controllers with `actuators = "force"` drive, limited by `[limits]`."""
         return replace(self.with_ideal_actuators, limits=self.force_limits or self.limits, force_limits=None)
 
     def with_actuators_of(self, name: str) -> "Vehicle":
@@ -419,12 +421,12 @@ class Vehicle(ShownResult):
         return self.with_force_actuators if forced else self
 
     def with_common_actuators(self, names: Sequence[str]) -> "Vehicle":
-        """Returns the vehicle with the actuators that all named controllers drive.
+        """Returns the vehicle with the type of actuator that all named controllers drive.
 
         `passive` and `state` can be combined with both types of actuator.
 
         Raises:
-            InputError: some controllers drive semi-active dampers, others force actuators.
+            InputError: some of the controllers drive semi-active dampers, and some drive force actuators.
         """
         named = [name for name in names if name in self.controllers]
         pushing = [name for name in named if self.with_actuators_of(name) is not self]
@@ -437,14 +439,15 @@ class Vehicle(ShownResult):
         return self.with_force_actuators if pushing else self
 
     def without(self, part: str) -> "Vehicle":
-        """Returns the vehicle without one part of its limits or implementation; the same vehicle if it does not have this part.
+        """Returns the vehicle without one part of its limits or implementation; a vehicle without this part is returned
+        unchanged.
 
         Args:
-            part: the omitted part: `noise` (measurement noise and quantisation), `delay` (of the forces), `limits` (largest
-                force and bump stops) or `lag` (of actuators or valves).
+            part: omitted part: `noise` (measurement noise and quantisation), `delay` (of the forces), `limits`
+                (largest force and bump stops) or `lag` (of actuators or valves).
 
         Raises:
-            InputError: the part has another name.
+            InputError: `part` is not the name of a part.
         """
         if part not in WITHOUT:
             raise InputError(f"without {part!r} is not known; known: {list_names(WITHOUT)}")
@@ -458,14 +461,14 @@ class Vehicle(ShownResult):
 
     @property
     def filtered(self) -> bool:
-        """True if a weight of z or of the road depends on frequency, which adds states to the design plant."""
+        """True if a weight of z or of the road depends on frequency; such a weight adds states to the design plant."""
         return bool(self.filters) or self.road_filter is not None or any(one.filter is not None for one in self.sums)
 
     @cached_property
     def integrals(self) -> Mapping[str, Mapping[str, float]]:
         """Integrators that the weights of z add to the states of the design plant.
 
-        Maps the name of each integrator state to the factors of the signals that it integrates.
+        The result maps the name of each integrator state to the factors of the signals that the state integrates.
         """
         different: dict[str, Mapping[str, float]] = {}
         for row in self.weighted:
@@ -485,7 +488,9 @@ class Vehicle(ShownResult):
 
     @property
     def without_integrals(self) -> "Vehicle":
-        """The vehicle without integrators in z. The pole at 0 of a filter is removed; its other poles remain."""
+        """The vehicle without the integrators in the controlled output z. The pole at 0 of each filter is removed; all other
+        poles of the filter remain.
+        """
         if not self.integrals:
             return self
         rest = {name: one.without_integral for name, one in self.filters.items()}
@@ -499,7 +504,7 @@ class Vehicle(ShownResult):
         )
 
     def summed(self, values: Array, axis: int = -1) -> Array:
-        """Returns the output signals, followed by the unweighted sums of signals in z.
+        """Returns the values of the output signals, followed by the values of the unweighted sums of signals in z.
 
         Args:
             values: values of the p output signals along one axis.
@@ -519,7 +524,7 @@ class Vehicle(ShownResult):
             omega: angular frequencies [rad/s], shape (F,).
 
         Returns:
-            Complex weights, shape (F, p): a row per frequency, a column per output signal and then per sum.
+            Complex weights, shape (F, p), with a row per frequency, and with a column per output signal and then per sum.
         """
         ones = np.ones(len(omega), dtype=complex)
         return np.stack(
@@ -549,7 +554,7 @@ class Vehicle(ShownResult):
 
     @property
     def unladen(self) -> "Vehicle":
-        """The vehicle without the payload in `[payload]` of the vehicle file; the same vehicle if the file has no payload."""
+        """The vehicle without the payload in `[payload]` of the vehicle file; a vehicle without payload is unchanged."""
         toml_value = FEATURES.load("editing of TOML").toml_value
         data = parse_toml(self.text)
         if not data.pop("payload", None):
@@ -560,7 +565,7 @@ class Vehicle(ShownResult):
     def text_for(self, path: Path) -> str:
         """Returns the text of a vehicle file that describes this vehicle and will be saved at the given path.
 
-        Paths of Python laws in the text are relative to the folder of this file.
+        Paths of Python laws in the text are relative to the folder of the saved file.
 
         Raises:
             InputError: a vehicle file at this path could not be read, because a law or the vehicle type is in another folder.
@@ -579,7 +584,7 @@ class Vehicle(ShownResult):
 
     @property
     def ideal(self) -> bool:
-        """True if the file has neither limits nor an implementation."""
+        """True if the vehicle file has neither limits nor an implementation."""
         return self.limits == Limits() and self.implementation.ideal
 
     def checked(self) -> "Vehicle":
@@ -598,7 +603,7 @@ class Vehicle(ShownResult):
 
     @cached_property
     def warnings(self) -> list[str]:
-        """Warnings about numbers that probably have another unit or are swapped, and about characteristics."""
+        """Warnings about characteristics, and about numbers that probably have a wrong unit or are swapped."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
         doubts = list[str]()
@@ -616,7 +621,7 @@ class Vehicle(ShownResult):
 
     @property
     def controller_names(self) -> tuple[str, ...]:
-        """Names of all controllers."""
+        """Names of all controllers of the vehicle."""
         return (*RESERVED_NAMES, *self.controllers)
 
     @property
@@ -648,14 +653,17 @@ class Vehicle(ShownResult):
             PARTS.load("adjustable damper").check_measured(entry.name, entry.measured, self)
 
     def hardware(self, name: str) -> DesignConditions:
-        """Returns sensor noise, actuator lag and loads for the design of a controller; none of these for built-in controllers."""
+        """Returns sensor noise, actuator lag and loads for the design of a controller; for a built-in controller, the design
+        uses none.
+        """
         return self.controllers[name].hardware if name in self.controllers else NOMINAL
 
     def linear_entry(self, name: str) -> ControllerEntry:
-        """Returns the entry of a controller; linear analysis must apply to this controller.
+        """Returns the entry of a controller to which linear analysis applies.
 
         Raises:
-            InputError: the file has no controller of that name, or its law is a Python law or a semi-active law.
+            InputError: the vehicle file has no controller with the name, or the controller's law is a Python law or a
+                semi-active law.
         """
         if name not in self.controllers:
             raise InputError(f"unknown controller {name!r}; this vehicle has {list_names(self.controller_names)}")
@@ -675,7 +683,7 @@ def read_vehicle(file: str | Path) -> Vehicle:
         file: path of a vehicle file, or name of a built-in vehicle.
 
     Returns:
-        The vehicle, with its parameters in SI units.
+        The vehicle that the file describes, with parameters in SI units.
 
     Raises:
         InputError: the file is missing or is not TOML, or a key is missing, unknown or not allowed. The message gives the file
@@ -697,13 +705,13 @@ def read_vehicle(file: str | Path) -> Vehicle:
 
 
 def resolved_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """Replaces names of other files in the text of a vehicle file by the contents of these files.
+    """Replaces the names of files in the text of a vehicle file by the contents of these files.
 
     Returns:
-        The complete text, and the paths of the other files.
+        The complete text, and the paths of the files whose contents it contains.
 
     Raises:
-        InputError: the text is not TOML, or another file is missing or invalid.
+        InputError: the text is not TOML, or a file that it names is missing or invalid.
     """
     if not re.search(r"\bfamily\b|\b(file|stop)\b[\"']?\s*[=\]]", text):
         return text, ()
@@ -715,15 +723,15 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     """Returns a vehicle from the text of a vehicle file.
 
     Args:
-        text, source: the text of a vehicle file in TOML, and the path of this file for messages.
+        text, source: the text of a vehicle file in TOML, and the path of the vehicle file, for messages.
         folder: folder with custom vehicle types and Python laws; None allows only built-in types, and Python laws cannot run.
 
     Returns:
-        The vehicle, with its parameters in SI units.
+        The vehicle that the file describes, with parameters in SI units.
 
     Raises:
-        InputError: the text refers to another file, which only `read_vehicle` reads, or is invalid for one of the reasons
-            listed in `read_vehicle`.
+        InputError: the text names a file, which only `read_vehicle` would read, or is invalid for a reason that `read_vehicle`
+            lists.
 
     Example:
         >>> from models import parse_vehicle, read_vehicle

@@ -18,7 +18,7 @@ def lvm_text(text: str) -> str:
     Comments in rows are omitted.
 
     Raises:
-        InputError: a header has no end, the file has no times, or channels have different times.
+        InputError: a header has no end, the file contains no times, or the channels of the file have different times.
     """
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     ends = [i for i, line in enumerate(lines) if line.startswith(END)]

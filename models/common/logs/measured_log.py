@@ -1,4 +1,4 @@
-"""Measured logs: columns over time whose names are signal names, from any table of numbers (`models.common.table`).
+"""Measured logs: signals against time, from any table of numbers (`models.common.table`) whose columns have signal names.
 
 A heading may contain the words of a signal name in any case and order: `Sprung Acceleration (m/s^2)`, `FL suspension_deflection
 [mm]`. Cells of the log may be empty, and the sample rate may vary.
@@ -30,14 +30,15 @@ LEAST = 3  # a log must have at least this number of samples
 
 @dataclass(frozen=True, eq=False)
 class MeasuredLog:
-    """Measured signals over time.
+    """Log of measured signals against time.
 
     Attributes:
         source: path of the file.
         time: times of the samples on the log's own clock [s], ascending, shape (n,).
         signals: measured values in SI units by name of the signal, each of shape (n,); NaN for a missing cell.
         remarks: notes about omitted columns and assumed units.
-        rounded: number of omitted samples, whose times equal the previous time because the file contains rounded times.
+        rounded: number of samples that are omitted because their rounded times in the file equal the time of the previous
+            sample.
     """
 
     source: str
@@ -52,7 +53,7 @@ class MeasuredLog:
         return float(np.median(np.diff(self.time)))
 
     def at(self, name: str, time: Array) -> Array:
-        """Returns a signal at given times [s], interpolated linearly; NaN outside the log and within its gaps."""
+        """Returns a signal at given times [s] by linear interpolation; NaN at times outside the log and in gaps of the log."""
         values = np.interp(time, self.time, self.signals[name], left=np.nan, right=np.nan)
         after = np.clip(np.searchsorted(self.time, time), 1, len(self.time) - 1)
         apart = self.time[after] - self.time[after - 1]
@@ -65,15 +66,15 @@ def read_measured_log(
 ) -> MeasuredLog:
     """Reads the columns of a measured log whose names are signal names: .csv, .txt, .lvm, .mat, .xlsx, .parquet, .mf4 or .mcap.
 
-    Times of day are converted to times since the first sample. If the sample rate determines the times, they also start at the
-    first sample.
+    Times of day in the file are converted to times since the first sample. Times that are computed from the sample rate also
+    start from 0 at the first sample.
 
     Args:
         path: path of the file.
         units: SI unit of each signal that may be read, by name of the signal.
         rate: sample rate of a file without a column of time [Hz]; None for a file with such a column.
-        columns: heading of each signal whose column has another name in the file, by name of the signal. If the file gives no
-            unit for the column, the heading given here may contain the unit.
+        columns: heading in the file for each signal whose column does not have the signal's name, by name of the signal. If the
+            file gives no unit for a column, the heading in `columns` may contain the unit.
 
     Returns:
         The measured signals in SI units, with their times.
@@ -160,7 +161,9 @@ def times_of(headings: Sequence[Heading]) -> list[Heading]:
 
 
 def name_key(text: str) -> frozenset[str]:
-    """Returns the words of a name, independent of order and case. `FrontLeftTravel` and `travel FL` give the same result."""
+    """Returns the words of a name, independent of order and case. For example, the result is the same for `FrontLeftTravel` and
+    `travel FL`.
+    """
     words: list[str] = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower())
     return frozenset(part for word in words for part in CORNERS.get(word, word).split("_"))
 
@@ -201,7 +204,7 @@ def _scale(heading: Heading, si: str, name: str) -> float:
     """Returns the factor that converts a column from its own unit to the unit of its signal.
 
     Raises:
-        InputError: the unit is unknown, or belongs to another quantity.
+        InputError: the unit of the column is unknown, or is not a unit of the signal's quantity.
     """
     size = unit_size(heading.unit or si, si)
     if size is None:

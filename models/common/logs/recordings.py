@@ -1,7 +1,7 @@
 """Recordings with several clocks as one table: MCAP files with channels in JSON, and MDF4 files of measuring systems.
 
-The columns have the times of the clock with the most samples. Columns of other clocks are interpolated linearly between their
-samples, and have no value outside their time range.
+All columns of the table use the times of the clock that has the most samples. Columns that were recorded with another clock are
+interpolated linearly between samples, and have no value outside the time range of that clock.
 """
 
 import json
@@ -51,8 +51,8 @@ def mdf_rows(path: Path) -> list[Sequence[Any]]:
 def mcap_rows(path: Path) -> list[Sequence[Any]]:
     """Returns the headings `topic.field`, and the recorded values, of all JSON channels in an MCAP file.
 
-    If every channel has a field `time`, `timestamp`, `stamp` or `t` [s], these fields give the times. Otherwise, the log times
-    of the messages are used.
+    If every channel has a field `time`, `timestamp`, `stamp` or `t` [s], the times are taken from the fields. If a channel
+    lacks a field of time, the log times of all messages are used.
 
     Raises:
         InputError: the file is not MCAP, is damaged, or has no numbers in JSON.
@@ -90,7 +90,7 @@ def mcap_rows(path: Path) -> list[Sequence[Any]]:
 
 
 def _numbers(content: Any, path: str = "") -> Iterator[tuple[str, float]]:
-    """Yields the numbers in a message, with names such as `acceleration.z` and `wheel.0`."""
+    """Yields the numbers in a JSON message, each with a name such as `acceleration.z` or `wheel.0`."""
     if isinstance(content, dict | list):
         for key, one in content.items() if isinstance(content, dict) else enumerate(content):
             yield from _numbers(one, f"{path}.{key}" if path else str(key))
@@ -99,8 +99,8 @@ def _numbers(content: Any, path: str = "") -> Iterator[tuple[str, float]]:
 
 
 def _rows(columns: dict[str, tuple[Array, Array]], without: str) -> list[Sequence[Any]]:
-    """Returns columns that have their own times as one table: headings, then rows. `without` is the message if there are no
-    columns.
+    """Combines columns that were recorded at different times into one table: headings, then rows. `without` is the error
+    message for the case that there are no columns.
     """
     if not columns:
         raise InputError(without)

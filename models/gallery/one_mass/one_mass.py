@@ -1,6 +1,6 @@
 """Mass that is connected to the road by a spring and a force actuator.
 
-With one degree of freedom, optimal laws have closed forms.
+Because the mass has only one degree of freedom, the formulas of optimal control laws have a closed form.
 """
 
 import numpy as np
@@ -13,7 +13,9 @@ OUTPUTS = (signals.SUSPENSION_DEFLECTION, signals.SPRUNG_VELOCITY, signals.SPRUN
 
 
 def linear_model(p):
-    """Returns the linear model: d' = v - w, m v' = -k d + u."""
+    """Returns the linear model with the deflection d, the velocity v, the road velocity w and the force u: d' = v - w, m v' =
+    -k d + u.
+    """
     A = np.array([[0, 1], [-p["stiffness"] / p["mass"], 0]])
     B = np.array([[0], [1 / p["mass"]]])
     C, D = np.vstack([np.eye(2), A[1], [0, 0]]), np.vstack([[0], [0], B[1], [1]])
@@ -27,7 +29,7 @@ def static_tyre_deflection(p):
 
 
 def write_mjcf(spec, p):
-    """Writes the parameters into the MJCF."""
+    """Writes the parameters of the vehicle into the MJCF."""
     spec.body("sprung").mass = p["mass"]
     spec.tendon("suspension").stiffness[0] = p["stiffness"]
     spec.tendon("suspension").springlength[0] = FREE + static_tyre_deflection(p)[STATES[0]]

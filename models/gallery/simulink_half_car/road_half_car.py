@@ -1,7 +1,7 @@
-"""Half-car whose suspensions are directly on the road, without wheels: the second example of a custom vehicle type.
+"""Half-car without wheels, whose suspensions touch the road directly: the second example of a custom vehicle type.
 
-The equations are those of Simulink's demonstration of a half-car. The springs act between road and body. The dampers act only
-on the motion of the body.
+The equations are those of Simulink's demonstration of a half-car. The springs act between road and body. The forces of the
+dampers depend only on the motion of the body.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ def wheelbase(p):
 
 
 def linear_model(p):
-    """Returns the linear model: 4 states, 2 forces [N], 2 roads [m/s], 9 output signals."""
+    """Returns the linear model with 4 states, 2 forces [N], 2 road velocities [m/s] and 9 output signals."""
     springs, dampers = (np.diag([2 * p[f"{part}_{axle}"] for axle in AXLES]) for part in ("stiffness", "damping"))
     # Matrix that converts heave and pitch (nose down) to the heights of the front and rear ends of the body
     ends = np.column_stack([[1, 1], -arms(p)])
@@ -59,7 +59,7 @@ def static_tyre_deflection(p):
 
 
 def write_mjcf(spec, p):
-    """Writes the parameters into the MJCF."""
+    """Writes the parameters of the vehicle into the MJCF."""
     body = spec.body("sprung")
     body.mass, body.inertia = p["mass"], [p["pitch_inertia"]] * 3
     for axle, arm, rest in zip(AXLES, arms(p), static_tyre_deflection(p).values(), strict=True):
@@ -70,7 +70,7 @@ def write_mjcf(spec, p):
 
 
 def per_axle(name, unit, meaning, positive=True):
-    """Returns a parameter for each axle."""
+    """Returns the declarations of a parameter that each axle has."""
     return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive=positive) for axle in AXLES)
 
 

@@ -1,6 +1,6 @@
-"""Loads by name: `KIND[:NAME=VALUE...]`, or a CSV file with values over time.
+"""Loads by name: `KIND[:NAME=VALUE...]`, or the name of a CSV file with values of a load against time.
 
-Command lines, campaign files and logs contain these texts.
+A load is written in the same form on command lines, in campaign files and in logs.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ GIVE = "give a .csv file with the heading time [s] and at least one of heave [N]
 
 @dataclass(frozen=True, eq=False)
 class History(Load):
-    """Load from a file, interpolated linearly between points.
+    """Load from a file, interpolated linearly between the points in the file.
 
     Before the first point, the load is 0; a load that begins after 0 s must begin with the value 0. After the last point, the
     load keeps its last value.
@@ -35,7 +35,7 @@ class History(Load):
     Attributes:
         source: name of the file.
         time: times of the points [s], ascending, shape (K,).
-        columns: values of the load [N, N m] by heading, each of shape (K,).
+        columns: values of the load [N, N m] by heading of the column, each of shape (K,).
     """
 
     source: str
@@ -44,19 +44,21 @@ class History(Load):
 
     @property
     def text(self) -> str:
-        """Text with the name of the file and all exact numbers. The rows of the CSV file are separated by `;`."""
+        """Text that defines the load: the name of the file and all numbers in the file, exactly. In the text, the rows of the
+        CSV file are separated by `;`.
+        """
         heading = ",".join(["time [s]", *(f"{name} [{'N' if name == 'heave' else 'N m'}]" for name in self.columns)])
         rows = zip(self.time.tolist(), *(column.tolist() for column in self.columns.values()), strict=True)
         return ";".join([self.source, heading, *(",".join(map(repr, row)) for row in rows)])
 
     @property
     def content(self) -> str:
-        """Text with all numbers, without the name of the file."""
+        """Text that defines the load by all numbers in the file, without the name of the file."""
         return self.text.partition(";")[2]
 
     @property
     def label(self) -> str:
-        """Name of the file."""
+        """Name of the file that contains the load."""
         return self.source
 
     @property
@@ -66,11 +68,11 @@ class History(Load):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Names of the loads in the columns."""
+        """Names of the body loads (force and moments) in the columns."""
         return tuple(NAMES[name] for name in self.columns)
 
     def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns the interpolated values; see `Load`."""
+        """Returns the interpolated values of the load; see `Load`."""
         return {NAMES[name]: np.interp(t, self.time, column) for name, column in self.columns.items()}
 
     def step_means(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
@@ -122,7 +124,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
     """Returns the load that a text describes.
 
     Args:
-        text: text of the load, or name of a file.
+        text: text that describes the load, or name of a file that contains it.
         folder: folder to which file names are relative.
 
     Raises:

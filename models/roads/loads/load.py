@@ -1,16 +1,17 @@
-"""Loads on the body over time: external forces and moments.
+"""Loads on the body as functions of time: external forces and moments.
 
 The vehicle model drives straight ahead. Braking, cornering, payload and wind therefore act as equivalent loads at the centre of
 mass of the body (d'Alembert forces): a vertical force F, a pitch moment M_pitch and a roll moment M_roll. Positive directions
-are up, nose down and right side down. For a sprung mass m_s with its centre of mass at height h above the ground:
+are up, nose down and right side down. For a sprung mass m_s whose centre of mass has the height h above the ground, the loads
+are:
 
     braking at a:          M_pitch = m_s a h,     cornering left at a:   M_roll = m_s a h
     payload m at (x, y):   F = -m g,   M_pitch = m g x,   M_roll = -m g y
 
 The payload position (x forward, y to the left) is relative to the centre of mass. A payload adds weight but no inertia. By
-default, springs and tyres carry each moment M, and the body turns by M / K, where K is their rotational stiffness. A vehicle
-file can define suspension links instead (`models/kinds/links.py`). The links' share of braking, cornering and gust loads, and
-the inertia of the wheels, then act as loads on the wheels.
+default, springs and tyres carry each moment M; with their rotational stiffness K, the body turns by M / K. A vehicle file can
+define suspension links that carry a share of the loads (`models/kinds/links.py`). With suspension links, the links' share of
+braking, cornering and gust loads, and the inertia of the wheels, act as loads on the wheels.
 """
 
 import math
@@ -39,7 +40,7 @@ Y = Annotated[float, SI("m", "position, to the left of the body's centre of mass
 
 
 class Load(ABC):
-    """Load over time that can act on any vehicle."""
+    """Load as a function of time that can act on any vehicle."""
 
     @property
     @abstractmethod
@@ -53,7 +54,7 @@ class Load(ABC):
 
     @property
     def label(self) -> str:
-        """The text that commands print; for a load from a file, only the file name."""
+        """The text that commands print for the load; for a load from a file, only the file name."""
         return self.text
 
     @property
@@ -64,11 +65,11 @@ class Load(ABC):
     @property
     @abstractmethod
     def directions(self) -> tuple[str, ...]:
-        """Names of the body loads to which this load contributes."""
+        """Names of the body loads (force or moments) to which the load contributes."""
 
     @abstractmethod
     def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns force [N] and moments [N m] at times t [s], by the names of the body loads.
+        """Returns the force [N] and the moments [N m] of the load at times t [s], by the names of the body loads.
 
         Args:
             t: times [s].
@@ -78,13 +79,13 @@ class Load(ABC):
         """
 
     def step_means(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns the load that MuJoCo holds over time steps: by default, the values in the middle of each step.
+        """Returns the load that MuJoCo holds constant during each time step: by default, the values in the middle of the step.
 
         Args:
             t: middle times of the steps [s].
             timestep: length of a step [s].
             p: parameters of the vehicle [SI], by name.
-            kind: vehicle type, as in `at`.
+            kind: vehicle type, as for the method `at`.
         """
         return self.at(t, p, kind)
 
@@ -95,7 +96,8 @@ class Load(ABC):
 
 @dataclass(frozen=True)
 class RampedLoad(Section, Load):
-    """Load that rises, stays constant and falls. Rise and fall are half periods of a cosine.
+    """Load that rises, stays constant for a time, and falls. The rise and the fall of the load have the shape of half a period
+    of a cosine.
 
     Raises:
         InputError: a number is out of its range, or has a unit of another dimension.
@@ -122,7 +124,7 @@ class RampedLoad(Section, Load):
 
     @property
     def text(self) -> str:
-        """Text with the type and numbers of the load; an infinite hold is omitted."""
+        """Text with the type and the numbers of the load; an infinite hold time is omitted."""
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         return ":".join([self.kind, *(f"{name}={value!r}" for name, value in given.items() if value != math.inf)])
 
@@ -134,16 +136,16 @@ class RampedLoad(Section, Load):
         return (start, start + rise, *((going, going + rise) if math.isfinite(hold) else ()))
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns the horizontal force that causes this load, for the suspension links.
+        """Returns the horizontal force that causes the load, because suspension links transmit a share of this force.
 
         Returns:
             Name of the body load, force on the body [N], and acceleration of the wheels [m/s2], as `VehicleKind.carried` takes
-            them. None if the load does not act on the links.
+            them. None if the suspension links do not transmit any share of the load.
         """
         return None
 
     def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns the amplitudes of the load, multiplied by its function of time; see `Load`."""
+        """Returns the amplitudes of the load, multiplied by the load's function of time; see `Load`."""
         full, pushing = dict(self.amplitudes(p)), self.horizontal(p)
         if kind is not None and pushing is not None:
             for name, value in kind.carried(p, *pushing).items():
@@ -172,7 +174,7 @@ class _Inertial(RampedLoad):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Name of the moment."""
+        """Name of the moment that the load exerts on the body."""
         return (self.way,)
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
@@ -185,7 +187,7 @@ class _Inertial(RampedLoad):
         return {self.way: _mass(p) * GRAVITY * self.g * p["centre_height"]}
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns the name of the moment, the inertial force of the body [N] and the acceleration [m/s2]."""
+        """Returns the name of the moment, the inertial force of the body [N] and the acceleration of the vehicle [m/s2]."""
         return self.way, _mass(p) * GRAVITY * self.g, GRAVITY * self.g
 
 
@@ -203,7 +205,7 @@ class Brake(_Inertial):
 
 @dataclass(frozen=True)
 class Cornering(_Inertial):
-    """Cornering to the left, which rolls the body to the right. A negative acceleration is cornering to the right."""
+    """Cornering to the left, which rolls the body to the right. A negative lateral acceleration means cornering to the right."""
 
     kind: ClassVar[str] = "corner"
     way: ClassVar[str] = ROLL
@@ -214,7 +216,7 @@ class Cornering(_Inertial):
 
 
 def _vertical_force(force: float, x: float, y: float) -> dict[str, float]:
-    """Returns a vertical force [N], and the moments [N m] that it causes because of its position.
+    """Returns a vertical force [N], and the moments [N m] that the force causes about the centre of mass.
 
     Moments that are 0 are omitted, so that the force can also act on vehicles without pitch or roll.
     """
@@ -229,13 +231,13 @@ class _PlacedLoad(RampedLoad):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Names of the force and of its moments."""
+        """Names of the vertical force, and of the moments that the force causes."""
         return tuple(_vertical_force(1.0, self.x, self.y))
 
 
 @dataclass(frozen=True)
 class Payload(_PlacedLoad):
-    """Additional weight on the body."""
+    """Payload: additional weight on the body."""
 
     kind: ClassVar[str] = "payload"
     size: ClassVar[str] = "mass"
@@ -253,7 +255,7 @@ class Payload(_PlacedLoad):
 
 @dataclass(frozen=True)
 class Lift(_PlacedLoad):
-    """Aerodynamic lift of the body."""
+    """Aerodynamic lift that acts on the body."""
 
     kind: ClassVar[str] = "lift"
     size: ClassVar[str] = "force"
@@ -286,15 +288,17 @@ class Gust(RampedLoad):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Name of the moment."""
+        """Name of the moment that the load exerts on the body."""
         return (ROLL,)
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """Returns the roll moment [N m]."""
+        """Returns the roll moment of the load [N m]."""
         return {ROLL: self.force * self.height}
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns the force of the wind. The wind acts on the body, not on the wheels."""
+        """Returns the name of the moment, the force of the wind [N], and the acceleration 0. The wind acts on the body, not on
+        the wheels.
+        """
         return ROLL, self.force, 0.0
 
 

@@ -1,4 +1,4 @@
-"""Roads with loads on the vehicle's body. Road and loads begin at time 0."""
+"""Roads combined with loads (external forces and moments) on the vehicle's body. Road and loads begin at time 0."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class RoadWithLoads(DerivedRoad):
 
     @property
     def loaded(self) -> bool:
-        """True, because loads act on the body."""
+        """True, because at least one load acts on the body."""
         return True
 
     @property
@@ -41,15 +41,15 @@ class RoadWithLoads(DerivedRoad):
         return tuple(sorted({kink for load in self.on_body for kink in load.kinks}))
 
     def loads(self, vehicle: Vehicle, t: Array) -> Array:
-        """Returns the sum of the loads; see `Road`.
+        """Returns the sum of all loads on the body; see `Road`.
 
         Raises:
-            InputError: the vehicle type lacks the motion that a load acts on.
+            InputError: the vehicle type lacks the motion (heave, pitch or roll) that a load acts on.
         """
         return self._sum(vehicle, t, lambda load: load.at(t, vehicle.parameters, vehicle.kind))
 
     def held_loads(self, vehicle: Vehicle, t: Array, timestep: float) -> Array:
-        """Returns the sum of the loads that MuJoCo holds over time steps; see `Road`."""
+        """Returns the sum of the loads that MuJoCo holds constant during each time step; see `Road`."""
         return self._sum(vehicle, t, lambda load: load.step_means(t, timestep, vehicle.parameters, vehicle.kind))
 
     def _sum(self, vehicle: Vehicle, t: Array, values_of: Callable[[Load], Mapping[str, Array]]) -> Array:
@@ -68,12 +68,12 @@ class RoadWithLoads(DerivedRoad):
         return total
 
     def describe(self) -> dict[str, float | str]:
-        """Returns the road's description, and the texts that define its loads."""
+        """Returns the description of the road, including the texts that define the loads."""
         return {**self.road.describe(), "loads": PLUS.join(load.text for load in self.on_body)}
 
     @property
     def words(self) -> str:
-        """Road and loads as one line of text."""
+        """Description of road and loads as one line of text."""
         return f"{self.road.words}, loads {PLUS.join(load.label for load in self.on_body)}"
 
     def scaled(self, factor: float) -> "RoadWithLoads":
