@@ -1,4 +1,4 @@
-"""The command `roadproof identify`: a vehicle file from measured logs."""
+"""The command `roadproof identify`, which identifies a vehicle from measured logs and writes the vehicle file."""
 
 from dataclasses import replace
 from pathlib import Path
