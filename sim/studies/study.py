@@ -129,7 +129,7 @@ class Study(Generic[R]):
         return lines
 
     def holds(self, result: R) -> bool:
-        """Returns True if the result of the study is positive, so that the exit code is 0."""
+        """Returns True if the result of the study is successful, so that the exit code is 0."""
         return True
 
     def figure(self, request: StudyRequest, result: R) -> "Figure":

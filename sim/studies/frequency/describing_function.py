@@ -1,9 +1,9 @@
 """Describing function of a loop with a law in Python: the loop's response to one sinusoid at a time, measured in MuJoCo.
 
-The law may be nonlinear. For a nonlinear law, a chirp would mix the responses at different frequencies, and linear analysis
-cannot predict these responses. For each output, the result contains the fundamental, which is the component of the signal at
-the frequency of the road. The result also contains the share of the signal's energy at other frequencies, which is due to
-harmonics, a mean value or transients. The describing function can depend on the height of the road.
+The control law may be nonlinear. For a nonlinear law, a chirp would mix the responses at different frequencies, and linear
+analysis cannot predict these responses. For each output, the result contains the fundamental, which is the component of the
+signal at the frequency of the road. The result also contains the share of the signal's energy at other frequencies, which is
+due to harmonics, a mean value or transients. The describing function can depend on the height of the road.
 """
 
 from collections.abc import Sequence
@@ -41,10 +41,10 @@ class DescribingFunction:
             the first wheel, shape (F, p).
         outside: share of each output's energy that is not in the fundamental, shape (F, p); NaN if the output does not move.
         gains: L2 gain from the disturbance w to the performance output z at each frequency, shape (F,).
-        drift: largest relative change of a fundamental from one period of the lowest frequency to the next.
+        drift: largest relative change of any output's fundamental from one period of the lowest frequency to the next.
         without: text that names the noise and quantisation that the vehicle file defines but these runs omit; empty if the runs
             omit nothing.
-        ended: names of the limits that were reached in any of the runs, so that the linear regime ended.
+        ended: names of the limits that ended the linear regime in any of the runs.
     """
 
     controller: AnyController

@@ -3,7 +3,8 @@
 Workshops use this test of the European Shock Absorber Manufacturers Association (TS-02-76, 1976). A plate under one wheel at a
 time moves up and down by 6 mm from peak to peak. The frequency of the plate begins at 25 Hz and decreases. The result of the
 test is the smallest tyre load relative to the static load. Let t be the tyre deflection, t_0 the static tyre deflection, and
-z_r the height of the plate. In a linear vehicle, this ratio follows from the frequency response t / z_r:
+z_r the height of the plate. In a linear vehicle, the ratio of smallest to static tyre load follows from the frequency response
+t / z_r:
 
     ratio = 1 - 3 mm  max |t / z_r| / t_0,    and 0 if this is negative, because the wheel lifts off.
 
@@ -51,12 +52,12 @@ class MinimumLoad:
     Attributes:
         tyre: name of the tyre deflection signal.
         ratio: predicted minimum of the load ratio over all frequencies for the implemented (sampled-data) loop; never below 0.
-        omega: frequency of the plate at this minimum [rad/s].
+        omega: frequency of the plate at the predicted minimum [rad/s].
         driven: predicted minimum of the load ratio at the frequency of the MuJoCo run, which is near `omega`; may be negative.
         measured: minimum of the load ratio in the MuJoCo run.
-        allowed: allowed difference between `driven` and `measured`. The difference is not limited (infinite) for vehicles with
-            nonlinear springs or dampers, because the prediction uses their linearisation.
-        ended: names of the limits that were reached in the run, so that the linear regime ended.
+        allowed: allowed difference between `driven` and `measured`. `allowed` is infinite for a vehicle with nonlinear springs
+            or dampers, because the prediction uses a linearisation.
+        ended: names of the limits that ended the linear regime in the run.
     """
 
     tyre: str
@@ -102,8 +103,8 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
 
 @dataclass(frozen=True)
 class Plate(Road):
-    """A plate under one wheel that moves sinusoidally. The vehicle does not drive, and the ground under the other wheels is at
-    rest.
+    """Road that is a sinusoidally moving plate under one wheel. The vehicle does not drive, and the ground under the other
+    wheels is at rest.
 
     Attributes:
         wheel: name of the road signal under the moved wheel.
@@ -123,7 +124,7 @@ class Plate(Road):
         return wheel.road_velocity
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
-        """Returns 0, because the vehicle does not drive."""
+        """Returns a delay of 0, because the vehicle does not drive."""
         return 0.0
 
     @property

@@ -112,8 +112,8 @@ def _lowest_peak(curves: Sequence[Curve], signal: str, unit: str) -> str:
 
 
 def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[Array, Array]:
-    """Returns the frequencies of a drawn line [rad/s], shape (F,), and the magnitudes of all output signals at them, shape (F,
-    S).
+    """Returns the frequencies of a drawn line [rad/s], shape (F,), and the magnitudes of all output signals at these
+    frequencies, shape (F, S).
 
     The frequencies are closely spaced near the maxima and minima of the outputs.
     """

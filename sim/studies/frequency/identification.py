@@ -3,8 +3,8 @@
 Start with `measure_responses`. The L2 gain from the disturbance w to the performance output z includes the weights of z. If a
 weight is a filter, the filter is applied to the signal of the run. Between samples, the signal is assumed to be linear, and at
 the start of the run, the vehicle is assumed to be in equilibrium. If the vehicle file defines a road filter, w is the input of
-this filter. This input is known for a sinusoidal road, but for other roads it would require the inverse of the filter, which
-may not exist.
+this filter. This input is known for a sinusoidal road, but to find it for other roads would require the inverse of the filter,
+which may not exist.
 """
 
 import math

@@ -127,7 +127,7 @@ def drive_periodic(
     vehicle: Vehicle, controllers: Sequence[AnyController], roads: Sequence[PeriodicRoad], timestep: float
 ) -> Iterator[PeriodicRun]:
     """Yields the MuJoCo runs of N controllers, each over the periodic road of its controller. The evaluated samples at the end
-    of each run contain an integer number of periods of its road.
+    of each run contain an integer number of periods of the run's road.
 
     Args:
         vehicle: vehicle in equilibrium, without noise and quantisation of the measurements.
@@ -159,13 +159,13 @@ def responses(vehicle: Vehicle, controllers: Sequence[AnyController], roads: Seq
 def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, timestep: float) -> int:
     """Returns the number of samples of a run: the evaluated samples, and the earlier samples in which free motion decays.
 
-    - If lines are fitted, free motion that has not yet decayed is fitted, too. The number of samples before the evaluated
-      samples is then equal to that of the evaluated samples.
+    - If lines are fitted, free motion that has not yet decayed is fitted, too. In this case, the evaluated samples are preceded
+      by an equal number of samples.
     - If the controller's sample period is longer than the timestep, the signals contain additional lines, which resemble free
       motion. In this case, free motion must decay before the evaluated samples begin, except slow motion, which is subtracted.
       Free motion must also decay if the signals are used without a fit.
-    - For a nonlinear law, the shape of the free motion is unknown. The number of samples before the evaluated samples is then
-      twice that of the evaluated samples. The second half of these preceding samples shows whether the run has settled.
+    - For a nonlinear law, the shape of the free motion is unknown. In this case, the evaluated samples are preceded by twice as
+    many samples. The second half of these preceding samples shows whether the run has settled.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
     if controller.linear is not True:
@@ -224,7 +224,7 @@ def settled_sinusoid(periods: int, count: int, height: float, timestep: float, s
 
     Args:
         periods: number of periods that are evaluated at the end of the run.
-        count: total number of samples in these periods.
+        count: total number of samples in the evaluated periods.
         height: height of the road from trough to crest [m].
         timestep: timestep of the simulation [s].
         speed: forward velocity [m/s].

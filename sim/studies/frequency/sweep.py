@@ -139,7 +139,7 @@ def _off(lines: Lines) -> tuple[float, float, str, bool]:
 
 
 def failures(one: Sweep | DescribingFunction) -> list[str]:
-    """Returns a text for each check that a sweep fails. For a nonlinear law, the only check is that something was measured."""
+    """Returns a text for each check that a sweep fails. For a nonlinear law, the only check is that not every run diverged."""
     if isinstance(one, DescribingFunction):
         return describing_failures(one)
     code = one.controller.code

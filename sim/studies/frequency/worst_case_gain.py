@@ -55,8 +55,8 @@ class MeasuredInvariant:
         omega: frequency at which the transmissibility is invariant [rad/s].
         expected: magnitude that the transmissibility must have at `omega`.
         measured: magnitude of the transmissibility in MuJoCo.
-        allowed: allowed relative difference between both magnitudes, which is twice (omega h)^2 / 24 for the timestep h. The
-            error (omega h)^2 / 24 arises because MuJoCo keeps the road constant during each timestep h.
+        allowed: allowed relative difference between `expected` and `measured`, which is twice (omega h)^2 / 24 for the timestep
+            h. The error (omega h)^2 / 24 arises because MuJoCo keeps the road constant during each timestep h.
     """
 
     name: str
@@ -87,7 +87,7 @@ class Extremes:
         invariants: transmissibilities of this vehicle that no suspension force can change.
         ended: names of the limits that ended the linear regime in any of the runs.
         lti: True if the sampled loop is time-invariant, because the controller samples at every timestep. If `lti` is False,
-            `worst` omits the harmonics, so a gain can be larger than this norm.
+            `worst` omits the harmonics, so a gain can be larger than `worst`.
     """
 
     worst: WorstSinusoid
@@ -156,8 +156,8 @@ def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -
 
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
-    """Returns a number of periods and a number of samples, as `whole_periods` does; at their frequency, the gain is close to
-    its narrow peak.
+    """Returns numbers of periods and samples, as `whole_periods` does, for a frequency at which the gain nearly reaches a
+    narrow peak.
     """
     # The evaluated periods must also contain an integer number of controller samples
     steps = steps_per_sample(vehicle.implementation, timestep)

@@ -1,4 +1,4 @@
-"""Entries of the gallery. An entry contains the published numbers of one source, which are read from
+"""Entries of the gallery of published numbers. An entry contains the published numbers of one source, which are read from
 `models/gallery/NAME/entry.toml`.
 """
 

@@ -54,10 +54,10 @@ class ComparedNumber:
 
         - `REPRODUCED`: the exact value rounds to all published digits.
         - `ON_ITS_GRID`: the value at the source's sample times rounds to all published digits, and the entry gives no reason
-            for a difference.
+          for a difference.
         - `DIFFERS`: the entry gives a reason for the difference, and the difference is within the limit that belongs to this
           reason.
-        - `WRONG`: none of these conditions holds.
+        - `WRONG`: none of the other verdicts applies.
         """
         one, off = self.printed, abs(self.exact - self.printed.value)
         half = 0.5 * 10.0**-one.digits * (1 + 1e-9)
@@ -87,7 +87,9 @@ def _robust_performance(designer: Designer, one: PrintedNumber) -> float:
 
 
 def _zero(designer: Designer, one: PrintedNumber) -> float:
-    """Returns the smallest frequency above 0 [rad/s] of an imaginary zero in the transfer from the first force to a signal."""
+    """Returns the smallest frequency above 0 [rad/s] of a zero on the imaginary axis, in the transfer function from the first
+    force to a signal.
+    """
     model = designer.vehicle.linear_model
     i = model.outputs.index(one.signal)
     pencil = np.block([[model.A, model.B[:, :1]], [model.C[i : i + 1], model.D[i : i + 1, :1]]])
@@ -166,7 +168,9 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
 
 
 def run_of_number(designer: Designer, one: PrintedNumber) -> Run:
-    """Returns the MuJoCo run in which a published number is measured. Numbers with the same run share one `Run` object."""
+    """Returns the MuJoCo run in which a published number is measured. Published numbers that are measured in the same run share
+    one `Run` object.
+    """
     return _run(designer, one.controller, one.road, one.duration, one.timestep)
 
 

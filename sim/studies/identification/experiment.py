@@ -59,12 +59,12 @@ class Experiment:
         name: name of the log, followed by the name of the stretch if the log has several stretches.
         step: time between two samples [s].
         road: road heights under the r wheels [m], shape (T, r); if `hubs` is True, vertical accelerations of the r hubs [m/s2].
-            Between samples, these values are interpolated linearly.
+            Between samples, the road heights or hub accelerations are interpolated linearly.
         forces: control forces [N], shape (T, m).
         channels: measured signals, each from one sensor.
         added: amounts added to parameters of the vehicle file, such as a payload, by name of the parameter [SI].
         from_rest: True if the vehicle starts in equilibrium at the first road height; False if the starting state is estimated.
-        hubs: True if the road is unknown, and the measured accelerations of the hubs are the inputs instead.
+        hubs: True if the road is unknown, and the measured hub accelerations are the inputs instead of road heights.
         forces_held: True if each force is constant until the next sample, as a computer holds it; False if forces are
             interpolated linearly.
         road_held: True if the road height during each step is constant, namely the height halfway between the two samples, as

@@ -67,7 +67,7 @@ class Identification:
             by name.
         causes: causes of a misfit that were found in the residuals.
         remarks: remarks on the logs and on the columns of the logs.
-        mirror: parameter values of a second solution that fits equally well, by name; empty if none is known.
+        mirror: parameter values of a second solution that fits equally well, by name; empty if no second solution is known.
         held_out: fit of each signal in the logs that were not used for the estimate, by experiment.
         in_mujoco: largest difference between MuJoCo and the prediction for each signal, relative to the signal's peak; empty if
             nothing was simulated.
@@ -121,8 +121,8 @@ def free_parameters(
         fix: names of parameters that keep their initial values.
         free: names of additional free parameters; a damping that is zero in the file starts at a small value.
         parts: names of the parts to which the logs belong; the empty name stands for logs of the whole vehicle. For a part on a
-            dyno, all numbers are estimated, except voltages and bandwidths. If every log belongs to a part, no parameters of
-            the vehicle are estimated.
+            dyno, all numerical parameters of the part are estimated, except voltages and bandwidths. If every log belongs to a
+            part, no parameters of the vehicle are estimated.
 
     Raises:
         InputError: a name is not a parameter of the vehicle, or cannot be estimated.

@@ -100,7 +100,7 @@ class LogMap:
 
     Attributes:
         keys: keys that apply to all logs.
-        sensors: section of each signal in the map, by name.
+        sensors: section of each signal in the map, by name of the signal.
         known: combinations of parameters whose values are known from other sources.
         of_logs: keys that apply only to a single log, by file name of the log.
         source: path of the map file; empty if there is no map file.

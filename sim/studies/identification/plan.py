@@ -31,7 +31,7 @@ APART = 0.3  # relative difference between the frequencies at which two posts st
 
 @dataclass(frozen=True)
 class ChirpPlan:
-    """A chirp, and the predicted accuracy of the parameters that would be estimated from it.
+    """A chirp, and the predicted accuracy of the parameters that would be estimated from this chirp.
 
     Attributes:
         duration: duration of the chirp [s].

@@ -91,8 +91,8 @@ class LogPrediction:
     def _inputs(self) -> tuple[Array, Array]:
         """Inputs and their rates, over the step after each sample and at each sample, as two arrays of shape (T, 2 v).
 
-        The rate at a sample is the mean of the rates over the steps before and after. The mean is equal to the true rate if the
-        road is smooth.
+        The rate at a sample is the mean of the rates over the steps before and after this sample. The mean is equal to the true
+        rate if the road is smooth.
         """
         held = np.hstack([self.experiment.road, self.experiment.forces])
         rates = np.diff(held, axis=0, append=held[-1:]) / self.experiment.step
@@ -266,8 +266,8 @@ def midpoints(values: Array) -> Array:
 
 
 def _both_sides(values: Mapping[str, float], name: str, step: float) -> tuple[dict[str, float], dict[str, float]]:
-    """Returns two sets of parameter values. In the first set, one parameter is larger by a step; in the second set, it is
-    smaller by this step, but not below zero.
+    """Returns two sets of parameter values. In the first set, one parameter is larger by a step. In the second set, this
+    parameter is smaller by a step, but not below zero.
     """
     return {**values, name: values[name] + step}, {**values, name: max(values[name] - step, 0.0)}
 

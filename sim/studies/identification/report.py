@@ -41,7 +41,9 @@ SECTION = "identified"
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """A row of the parameter table: estimated value, initial value, and a confidence interval or the reason why it is missing."""
+    """A row of the parameter table: estimated value, initial value, and a confidence interval or the reason why the interval is
+    missing.
+    """
 
     name: str
     unit: str
@@ -292,7 +294,7 @@ def figure(of: Identification) -> Figure:
 
 
 def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
-    """Returns the vehicle file with the identified values, and with a section that states how they were obtained."""
+    """Returns the vehicle file with the identified values, and with a section that states how these values were obtained."""
     vehicle, estimate = of.vehicle, of.estimate
     start, rows = estimate.problem.vehicle, parameter_rows(of)
     tables = [name for name in vehicle.curves if name in estimate.values]

@@ -19,7 +19,8 @@ class Whiteness:
         correlations: autocorrelations of the residuals, beginning at lag 1, shape (LAGS,).
         bound: limit such that 95 % of the correlations of white residuals lie between -bound and bound.
         outside: share of the correlations that do not lie between -bound and bound.
-        probability: probability that correlations of white residuals are at least as large as these (Ljung and Box, 1978).
+        probability: probability that correlations of white residuals are at least as large as the correlations found (Ljung and
+            Box, 1978).
         samples: number of residuals in the test.
     """
 
@@ -47,7 +48,7 @@ def covariances(values: Array, lags: int) -> tuple[Array, Array]:
 
 
 def whiteness(values: Array) -> Whiteness:
-    """Tests whether residuals are white; shape (T,), with NaN for a missing residual."""
+    """Tests whether residuals, shape (T,), are white; a missing residual is NaN."""
     from scipy.special import chdtrc
 
     n = int(np.isfinite(values).sum())

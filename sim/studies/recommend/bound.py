@@ -14,8 +14,8 @@ cost of a sample period is
 
     tr X W + tr K' (R + B' X B) K P_f + the cost of noise within the period
 
-(K. J. Aastroem, B. Wittenmark (1997), Computer-Controlled Systems, chapter 11). With this sample period and this delay, no
-control law gives a smaller mean square of z.
+(K. J. Aastroem, B. Wittenmark (1997), Computer-Controlled Systems, chapter 11). No control law with the sample period and the
+delay of the loop gives a smaller mean square of z.
 """
 
 import math

@@ -2,11 +2,11 @@
 
 The plant is the linear vehicle with a first-order lag in each control force. The time constant of the lag accounts for
 actuator, delay and hold: 1 / bandwidth + (delay + 1/2) sample periods. The road velocity is modelled as white noise with the
-    intensity of the road. Vertical accelerations of the ride points are filtered by W_k.
+intensity of the road. Vertical accelerations of the ride points are filtered by W_k.
 
 Weights are expressed as powers of e relative to typical values, so the search needs no units. The typical value of a weight is
-the passive vehicle's rms acceleration, divided by a third of the range of the weighted signal. This range is the suspension
-stroke, the static tyre deflection or the largest force.
+the passive vehicle's rms acceleration, divided by a third of the range of the weighted signal. The range of a signal is the
+suspension stroke, the static tyre deflection or the largest force.
 """
 
 import math

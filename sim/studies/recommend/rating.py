@@ -116,7 +116,7 @@ def _margins(loop: Loop) -> tuple[float, float]:
 def drive_candidates(
     task: Task, candidates: Sequence[Contender], progress: Callable[[str], None], seeds: Sequence[int] = SEEDS
 ) -> list[Rating]:
-    """Returns the rating of each candidate in MuJoCo over the task's road, or over random roads with these seeds.
+    """Returns the rating of each candidate in MuJoCo over the task's road, or over random roads, one for each seed.
 
     A candidate whose run was aborted has no metric values. On random roads, the measurement begins when the transients have
     decayed; on other roads, at the start of the run.

@@ -75,8 +75,8 @@ def recommend(
 
 @one_thread()
 def recommendation(task: Task, progress: Callable[[str], None]) -> Recommendation:
-    """Returns the recommendation for a task. After Ctrl-C, the recommendation contains only the candidates that were found
-    before.
+    """Returns the recommendation for a task. After Ctrl-C, the recommendation contains only the candidates found before the
+    interruption.
 
     Args:
         progress: function that receives lines about the progress.
@@ -133,8 +133,8 @@ class _Work:
         self._show(f"{left}{text}{best}")
 
     def _search(self, family: Family, groups: tuple[str, ...] = (), again: str = "") -> None:
-        """Searches a family of candidates and adds the best one. After Ctrl-C, the best candidate that was found before is
-        added.
+        """Searches a family of candidates and adds the best one. After Ctrl-C, the best candidate found before the interruption
+        is added.
         """
         self._progress(f"{family.name}{again}")
         try:

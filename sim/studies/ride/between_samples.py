@@ -3,9 +3,9 @@
 A signal consists of pieces, each described by one polynomial. A piece is one timestep long, or shorter if the wheels pass kinks
 of the road that are only a few steps apart. A linear response can be computed exactly at any time, so that each piece has
 enough points for a polynomial of high degree. If a mode advances by 1 rad per step, a polynomial of degree 8 describes this
-mode with a relative error of 1e-11. A MuJoCo signal is known only at its samples. Each piece of a MuJoCo signal is a cubic
-through the four nearest samples; a held force is constant from one sample to the next. No polynomial extends across a vertical
-edge of the road or a switching instant (`sim.drive.jumps`), because the signal may have two values there.
+mode with an error of 1e-11. A MuJoCo signal is known only at its samples. Each piece of a MuJoCo signal is a cubic through the
+four nearest samples; a held force is constant from one sample to the next. No polynomial extends across a vertical edge of the
+road or a switching instant (`sim.drive.jumps`), because the signal may have two values there.
 """
 
 import itertools
@@ -56,7 +56,7 @@ class Pieces:
         return replace(self, values=self.values * factor)
 
     def before(self, whole: "Pieces", steps: int) -> "Pieces":
-        """Returns these pieces, followed by all pieces of `whole` except its first `steps` pieces."""
+        """Returns the pieces of this object, followed by all pieces of `whole` except its first `steps` pieces."""
         if self.values.shape[1] != whole.values.shape[1]:
             return whole
         both = ((getattr(self, name), getattr(whole, name)[steps:]) for name in ("start", "length", "values"))
@@ -306,7 +306,7 @@ def _fit(points: int) -> Array:
 
 
 def _integral(points: int) -> Array:
-    """Returns the weights by which equidistant values are multiplied and then added to give the integral from -1 to 1."""
+    """Returns weights for equidistant values; the weighted sum of the values is the integral from -1 to 1."""
     even = np.array([2 / (1 - j * j) if j % 2 == 0 else 0.0 for j in range(points)])
     return even @ _fit(points)
 

@@ -15,21 +15,22 @@ means over the steps of a period. Standard deviations from road to road, and lar
 spectrum.
 
 The band contains all frequency lines of the road, and extends half a line spacing beyond the first and the last line. The
-integral over this band then equals the sum over the lines, to second order in the line spacing. Signals are assumed to be
+integral over the band then equals the sum over the lines, to second order in the line spacing. Signals are assumed to be
 Gaussian (`gaussian.py`). For a stationary linear run, the expected values of mean quantities are exact. Mean quantities are
 mean squares (including the tyre load, which is never negative), shares of time, and power and energy of held forces. The
 integral in the vibration dose value (VDV) is also exact, because E a^4 = 3 sigma^4 for a Gaussian acceleration a. For a vehicle
 with nonlinear springs and dampers, equivalent linear characteristics are used (`statistical_linearisation.py`), which is an
 approximation.
 
-The expected values of largest magnitudes are approximate. These expected values are too large if the window is short compared
-with the decay time of the vehicle. The errors were found by comparison with linear responses over 200 roads. The comparison
-covers three built-in vehicles with the controllers `passive`, `I` and `II`, at 10, 20 and 35 m/s over 10 s. The errors are at
-most 2.5 % for MTVV, 5 % for crest factors, 7 % for peaks, and 12 % for the travel of the passive quarter-car. The expected
-values are too large, except crest factors of well-damped loops. These crest factors are up to 4 % too small, and up to 7 % for
-windows of 3 s. For light damping (100 N s/m, 10 to 35 m/s, 3 and 10 s), expected values are too large by up to 8 % (VDV), 9 %
-(MTVV), 14 % (crest factors) and 23 % (largest travel). The standard deviation from road to road is then up to 45 % too large.
-Its formula assumes a window much longer than the decay time.
+The expected values of largest magnitudes are approximate. The expected values of largest magnitudes are too large if the window
+is short compared with the decay time of the vehicle. The errors of the expected values were found by comparison with linear
+responses over 200 roads. The comparison covers three built-in vehicles with the controllers `passive`, `I` and `II`, at 10, 20
+and 35 m/s over 10 s. The errors are at most 2.5 % for MTVV, 5 % for crest factors, 7 % for peaks, and 12 % for the travel of
+the passive quarter-car. The expected values are too large, except crest factors of well-damped loops. Crest factors of
+well-damped loops are up to 4 % too small, and up to 7 % for windows of 3 s. For light damping (100 N s/m, 10 to 35 m/s, 3 and
+10 s), expected values are too large by up to 8 % (VDV), 9 % (MTVV), 14 % (crest factors) and 23 % (largest travel). With light
+damping, the standard deviation from road to road is up to 45 % too large. The formula for this standard deviation assumes a
+window much longer than the decay time.
 
 When the measurement begins, the transient has not decayed completely. The response to a line of the road is its steady-state
 response minus a free response. The free response starts from the steady-state value of the states at the time when a wheel
@@ -76,7 +77,7 @@ STILL = 1e-12  # a signal counts as zero if its variance is smaller than this, r
 
 @dataclass(frozen=True)
 class RemainingTransient:
-    """The measured signal whose variance at the start of the measurement differs most from its final value.
+    """The measured signal whose variance at the start of the measurement differs most from the signal's final variance.
 
     Attributes:
         share: variance of the signal relative to its final value; may exceed 1.
@@ -90,7 +91,7 @@ class RemainingTransient:
 def remaining_transient(
     vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, start: float
 ) -> RemainingTransient | None:
-    """Returns the measured signal whose variance at the start of the measurement differs most from its final value.
+    """Returns the measured signal whose variance at the start of the measurement differs most from the signal's final variance.
 
     Returns None for an unstable loop, for a nonlinear law, and for a preview controller of a vehicle with rear wheels.
 
@@ -183,9 +184,9 @@ class ExpectedMetrics:
 
     Attributes:
         mean: expected value of each metric, by name. For an rms, the expected value is the root of the expected mean square.
-            For the VDV, it is the fourth root of the expected integral. The mean of an rms over roads is lower than the
-            expected value by half the relative variance of the rms. The mean of a VDV over roads is lower than the expected
-            value by 1.5 times the relative variance of the VDV.
+            For the VDV, the expected value is the fourth root of the expected integral. The mean of an rms over roads is lower
+            than the root of the expected mean square, by half the relative variance of the rms. The mean of a VDV over roads is
+            lower than the fourth root of the expected integral, by 1.5 times the relative variance of the VDV.
         spread: standard deviation of each rms metric between random roads, by metric.
         error: upper estimate of the relative error of the integrals; this error is reported if it exceeds `EXACT`.
         line: linear vehicle from which the expected values are computed (`statistical_linearisation.py`).
@@ -343,7 +344,7 @@ def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
         force: force amplitudes due to both road sources, at each step and at the first step of the next period [N], shape
             (steps + 1, F, 2).
         travel: amplitudes of the travel of the actuator's suspension due to both road sources [m], shape (steps + 1, F, 2).
-        lags: True if the force changes within a step, False if it is held.
+        lags: True if the force changes within a step, False if the force is held.
 
     Returns:
         Cospectrum of the force and the change of travel, spectrum of the force, and spectrum of the change, shape (steps, F,

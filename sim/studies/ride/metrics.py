@@ -5,15 +5,15 @@ and an expected value.
 
 A held force jumps at each sample, and accelerations jump with the force. Each sample of an acceleration is the mean of the
 values just before and just after the jump of the force. The value after the jump would not include the mean delay of a held
-force, which is half a step. With this value, a loop whose forces cancel most of the spring and damper forces would seem better
-by several per cent.
+force, which is half a step. With the value after the jump, a loop whose forces cancel most of the spring and damper forces
+would seem better by several per cent.
 
 The time window of all metrics excludes the transient at the start of a run. The filter for the weighting W_k of ISO 2631-1
 (`sim/studies/ride/weighting.py`) has a delay of three samples. For the last three filter outputs of the window, the
 acceleration is extrapolated by a straight line through its last two samples.
 
-With semi-active dampers, the rms of an acceleration uses the values before and after each jump. The rms and the peak of a
-damper force also use the values before and after each jump.
+With semi-active dampers, the rms of an acceleration uses the values before and after each jump of the damper force. The rms and
+the peak of a damper force also use the values before and after each jump.
 
 The angles of the body are linear functions of deflections and road heights (`VehicleKind.angles`). The angles in MuJoCo are
 finite, so that the linear functions have an error of second order in the angle.
@@ -46,7 +46,7 @@ PITCH, ROLL = "pitch_angle", "roll_angle"
 
 
 def angles_of(vehicle: Vehicle) -> Mapping[str, Mapping[str, float]]:
-    """Returns the weights of the signals whose weighted sum is each body angle [rad], by name of the angle."""
+    """Returns, for each body angle by name, the weights of the signals whose weighted sum is the angle [rad]."""
     return vehicle.kind.angles(vehicle.parameters)
 
 
@@ -210,7 +210,7 @@ class Metric:
         """Adds the current block of signals, which the meter holds, to the totals of the metric."""
 
     def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
-        """Adds a block of the weighted acceleration of this metric.
+        """Adds a block of the weighted acceleration to the totals of this metric.
 
         Args:
             weighted: weighted acceleration [m/s2], shape (N, B).

@@ -36,7 +36,7 @@ LONGEST = 20.0  # s, longest transient that is awaited before the measurement
 
 @dataclass(frozen=True)
 class Ride:
-    """A metric of one controller on the roads of one class. Values that do not exist are NaN.
+    """A metric of one controller on the roads of one class. Values of the metric that do not exist are NaN.
 
     Attributes:
         road_class: road class according to ISO 8608.
@@ -182,8 +182,8 @@ class OverRoads:
         self.found = meter.result()
 
     def score(self) -> Score:
-        """Returns the controller's score on roads of class `AVERAGE`; the score has no values if one of these runs was
-        aborted.
+        """Returns the controller's score in the runs on roads of class `AVERAGE`; the score has no values if one of these runs
+        was aborted.
         """
         runs = self._runs(AVERAGE)
         if not np.isinf(self.ended[runs]).all():

@@ -77,8 +77,8 @@ class MetricComparison:
         unit: SI unit of the metric.
         mujoco: value of the metric in MuJoCo; None if the run was aborted.
         sampled: value of the metric in the exact sampled response over the same road; None if the run was aborted.
-        expected: expected value of the metric over all random roads with the same spectrum. None if the road has no spectrum,
-            the loop is nonlinear or unstable, or the metric has no known expected value.
+        expected: expected value of the metric over all random roads with the same spectrum. `expected` is None if the road has
+            no spectrum, the loop is nonlinear or unstable, or the metric has no known expected value.
         spread: standard deviation of the metric from road to road; None if this deviation is unknown.
         approximate: True if the formula for the expected value is an approximation.
     """
@@ -111,14 +111,14 @@ class RunMetrics(ShownResult):
     """All metrics of one run, with information about the expected values.
 
     Attributes:
-        metrics: metrics by name.
+        metrics: values of each metric, by name of the metric.
         settled: part of the transient that remains when the measurement begins; None for a road without a spectrum, an unstable
             loop, or a law in Python.
         error: largest relative error of the integrals from which expected values are computed; None if there are no expected
             values.
         line: linear vehicle from which the expected values are computed; None if there are no expected values.
-        static: body angles in the equilibrium of the linear loop under the final loads [deg], by name. None if no loads act;
-            empty if the loop is unstable or the law is nonlinear.
+        static: body angles in the equilibrium of the linear loop under the final loads [deg], by name. `static` is None if no
+            loads act, and empty if the loop is unstable or the law is nonlinear.
     """
 
     metrics: Mapping[str, MetricComparison]
@@ -148,7 +148,7 @@ def measured_samples(
     - On a random road, the measurement begins when the transient has decayed, but no later than at half of the run. The
     transient of a law in Python is unknown, so that the measurement begins at half of the run.
     - Over a single obstacle, the measurement covers the time in which the vehicle crosses the obstacle, and is the same for all
-      controllers. On a single obstacle, the measurement begins when the first wheel reaches the obstacle. The measurement ends
+      controllers. The measurement of an obstacle begins when the first wheel reaches the obstacle. The measurement ends
       when the passive vehicle would have settled after its last wheel left the obstacle.
     - On other roads, and if loads act, the whole run is measured.
 
@@ -182,7 +182,7 @@ def settling_times(driven: Sequence[tuple[Vehicle, AnyController]]) -> list[tupl
 
 
 def start_reason(driven: Sequence[tuple[Vehicle, AnyController]], start: float, duration: float) -> str:
-    """Returns a clause that explains why the measurement on a random road begins at this time.
+    """Returns a clause that explains why the measurement on a random road begins at the time `start`.
 
     Args:
         driven: pairs of vehicle and controller whose metrics are compared.

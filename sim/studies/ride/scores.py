@@ -177,13 +177,14 @@ def scores_of_runs(
 ) -> list[Score]:
     """Returns the scores of runs, in the order of the rows.
 
-    The passive vehicle comes first. A run that omits a part of the vehicle follows the run with the whole vehicle.
+    The score of the passive vehicle comes first. The score of a run that omits a part of the vehicle follows the score of the
+    run with the whole vehicle.
 
     Args:
         runs: runs of the controllers over the same road.
         passive: MuJoCo response of the passive vehicle.
         samples: index of the first measured sample, and index after the last measured sample; None for the end of the runs.
-        measured: metrics of the runs between these two samples; empty if they have not been measured yet.
+        measured: metrics of the runs between the two samples in `samples`; empty if the metrics have not been measured yet.
         without: name of the part of the vehicle that each run omits; empty if no run omits a part.
         title: title of the vehicle if several vehicles are compared; otherwise empty.
     """

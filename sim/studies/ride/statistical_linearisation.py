@@ -29,14 +29,15 @@ impulse response of the signal x_i to a force at curve j, then to second order i
 where s, rho and R are those of the resulting vehicle (the direct interaction approximation: R. H. Kraichnan (1959), J. Fluid
 Mech. 5, 497-543; P. C. Martin, E. D. Siggia and H. A. Rose (1973), Phys. Rev. A 8, 423-437). The memory Sigma acts like
 frequency-dependent slopes from the signals to the forces of the curves. The noise is an additional source of excitation,
-independent of the road. The mean force <F_i> also changes.
+independent of the road. The remainder also changes the mean force <F_i>.
 
 Hermite polynomials of degrees 2 to 4 are included. Hermite polynomials of higher degrees excite frequencies that no suspension
-amplifies. For characteristics with sharp bends, for example due to friction, the second-order terms of these polynomials are
-too large. If all degrees were included, the error of the expected ride would grow by 0.3 %, and no other error would decrease.
-If the share of e in the variance of a force exceeds `SHARP`, accelerations are computed from the line alone. The error of these
-accelerations is up to 3 %. If the remainder were included, the accelerations would be up to 13 % too small. Slow signals always
-include the remainder, without which travel would be up to 25 % too small.
+amplifies. For characteristics with sharp bends, for example due to friction, the second-order terms of polynomials of higher
+degrees are too large. If polynomials of all degrees were included, the error of the expected ride would grow by 0.3 %, and no
+other error would decrease. If the share of e in the variance of a force exceeds `SHARP`, accelerations are computed from the
+line alone. The error of accelerations that are computed from the line alone is up to 3 %. If the remainder were included, the
+accelerations would be up to 13 % too small. Slow signals always include the remainder, without which travel would be up to 25 %
+too small.
 """
 
 import math
@@ -100,7 +101,7 @@ class Remainder:
 
     @property
     def sharp(self) -> bool:
-        """True if accelerations are computed without the remainder, because its share is large."""
+        """True if accelerations are computed without the remainder, because the remainder's share is large."""
         return self.share > SHARP
 
     def sources(self, vehicle: Vehicle, road: Spectrum, omega: Array, timestep: float, at_steps: Array) -> Array:

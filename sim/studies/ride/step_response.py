@@ -1,9 +1,9 @@
 """Metrics of the response to a step of the road: peak, overshoot, settling time, and integrals of the absolute error.
 
 The final value of a height is the height of the step. The final value of any other signal is zero. If a law with `study = true`
-measures heights, a constant force can remain after the step. In this case, all signals except velocities and accelerations can
-have different final values. The error of a signal is its distance from the final value. Time is counted from the moment when
-the first wheel reaches the step.
+measures heights, a constant force can remain after the step. If a constant force remains after the step, all signals except
+velocities and accelerations can have different final values. The error of a signal is its distance from the final value. Time
+is counted from the moment when the first wheel reaches the step.
 """
 
 import math
@@ -44,7 +44,8 @@ class StepMetrics:
         peak_time: time at which the peak occurs [s].
         overshoot: excess of the peak over the final value, relative to the final value. If the final value is zero, `overshoot`
             is the largest value of the opposite sign after the peak, relative to the peak.
-        settling_time: time after which the error stays within the band until the end of the run [s]; None if it does not.
+        settling_time: time after which the error stays within the band until the end of the run [s]; None if there is no such
+            time.
         settled: "settled"; "not settled" if the run ends outside the band; "never outside" if the error never leaves the band.
         iae: integral of the absolute error over the run [signal unit times s].
         itae: integral of time multiplied by the absolute error over the run [signal unit times s2].

@@ -4,7 +4,7 @@ Gain factor, delay and sample period are each called the *amount* of a search.
 
 The derivative of MuJoCo's step shows whether a loop is stable (`simulated_loop.py`). Two runs then confirm the limit, because
 one of them decays and the other grows. Each run starts in the slowest mode of its loop, so that growth or decay is visible from
-the start. The duration of a run depends on the growth or decay rate of this mode.
+the start. The duration of a run depends on the growth or decay rate of the slowest mode.
 """
 
 import math
@@ -109,8 +109,8 @@ class StabilityEdge:
 def smallest_unstable(grows: Callable[[float], bool], expected: float, most: float, multiple: float = 0.0) -> tuple[float, float]:
     """Returns the ends of an interval that contains the stability limit: a stable amount and an unstable amount.
 
-    The search first tries an amount on each side of the expected limit. If the limit is not between these two amounts, the
-    search begins again at the smallest amount.
+    The search first tries an amount on each side of the expected limit. If the limit is not between the two amounts that are
+    tried first, the search begins again at the smallest amount.
 
     Args:
         grows: function that returns True if the loop is unstable for an amount.

@@ -155,8 +155,8 @@ class GainMargin:
         """True if MuJoCo confirms the predicted margins of the sampled loop at each timestep, and the predicted margin of the
         continuous loop.
 
-        The error of an extrapolated margin is of second order in the timestep. The error is less than half of the difference
-        between the margins at the two timesteps.
+        The error of an extrapolated margin is of second order in the timestep. The error of an extrapolated margin is less than
+        half of the difference between the margins at the two timesteps.
         """
         here = all(_close(at, search.found, AGREES * at) and search.confirmed for at, search in self.tried)
         coarse, fine = (one.found for one in self.searches[-2:])
@@ -198,8 +198,8 @@ class LoopMargins:
 
     @property
     def found_sample_period(self) -> float:
-        """Longest stable sample period below the first unstable one [s]; infinite if all sample periods are stable, NaN if the
-        limit is unknown.
+        """Longest stable sample period below the shortest unstable sample period [s]; infinite if all sample periods are
+        stable, NaN if the limit is unknown.
         """
         edge = self.sample_period
         return edge.unstable - self.timestep if _is_seen(edge, self.predicted.sample_period) else math.nan
@@ -357,7 +357,8 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
 
 
 def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
-    """Like `searches`, but for the loop with the sample period and the delay that the vehicle file defines.
+    """Returns predicted margins and searches as `searches` does, but for the loop with the sample period and the delay that the
+    vehicle file defines.
 
     The search for the delay runs only if the loop is cut at all actuators.
 

@@ -23,9 +23,9 @@ TRAVEL = Field[float]("travel", float, ".3g", 1e3, unit="mm")
 def edges(cells: Cells) -> dict[str, Any]:
     """Returns the edges of the map as a JSON object in SI units.
 
-    `lines` contains, for each value of the other axis, the predicted limits as a function of the height. If the height does not
-    vary, these limits are predicted along the first axis of the map. `enclosed` contains the edge heights that lie between two
-    MuJoCo runs.
+    `lines` contains the predicted limits as a function of the height, for each value of the other axis of the map. If the
+    height does not vary, `lines` contains the limits along the first axis of the map. `enclosed` contains the edge heights that
+    lie between two MuJoCo runs.
     """
     # if True, the response for one height predicts the responses for all heights
     proportional = not (cells.loads or cells.vehicle.parts.nonlinear)

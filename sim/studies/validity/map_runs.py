@@ -58,7 +58,8 @@ def with_loads(bump: Road, loads: tuple[Load, ...]) -> Road:
 
 
 def analyse_bumps(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], time: Array) -> Response:
-    """Returns the responses of one controller over N roads, computed by analysis; their values have the shape (N, T, S).
+    """Returns the responses of one controller over N roads, computed by analysis; the values of the responses have the shape
+    (N, T, S).
 
     The analysis takes account of nonlinear springs and dampers, and of semi-active dampers.
     """

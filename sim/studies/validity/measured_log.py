@@ -62,8 +62,8 @@ _Row = tuple[Signal, str, SignalFit]  # a signal, the name of a run, and the com
 
 
 def requested_log(options: Namespace, vehicles: Iterable[Vehicle]) -> MeasuredLog | None:
-    """Returns the measured log of the option `--beside`, limited to the signals of these vehicles; None if the option is not
-    used.
+    """Returns the measured log of the option `--beside`, limited to the signals of the compared vehicles; None if the option is
+    not used.
 
     Raises:
         InputError: the log cannot be read (see `read_measured_log`), or an option that requires `--beside` is used without it.

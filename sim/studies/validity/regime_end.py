@@ -1,14 +1,14 @@
 """Bump height at which the linear regime ends, predicted by one linear response, and confirmed by one MuJoCo run below and one
 above.
 
-The linear regime ends when any signal reaches its limit in `REGIME_ENDS`. Up to this height, the response is proportional to
-the bump height, so one response predicts the height at which the first limit is reached. MuJoCo simulates one bump slightly
-below the predicted height, and one bump slightly above. Rotation of bodies, nonlinear springs and dampers, loads or noise can
-change the height at which the regime ends. If the correct height is not between these two heights, the next height follows from
-the largest signal of the highest run below the limit.
+The linear regime ends when any signal reaches its limit in `REGIME_ENDS`. Up to the end of the linear regime, the response is
+proportional to the bump height, so one response predicts the height of the end. MuJoCo simulates one bump slightly below the
+predicted height, and one bump slightly above. Rotation of bodies, nonlinear springs and dampers, loads or noise can change the
+height at which the regime ends. If the two runs do not enclose the correct height, the next height follows from the largest
+signal of the highest run below the limit.
 
-If there are semi-active dampers, the analysis must include them, because at every height they cannot apply some forces of a
-linear controller.
+The analysis includes semi-active dampers, because at every height these dampers cannot apply some forces of a linear
+controller.
 """
 
 import math
@@ -171,8 +171,8 @@ def _search(
     prediction.
 
     For a vehicle with linear springs and dampers, one response is sufficient. For any other vehicle, the analysis is nonlinear,
-    and a loop may be unstable above some height. In this case, the search finds the lowest height at which the analysis reaches
-    a limit.
+    and a loop may be unstable above some height. For a nonlinear analysis, the search finds the lowest height at which the
+    analysis reaches a limit.
     """
     height, low, high, at_end, tried = abs(bump.height), 0.0, math.inf, None, 0
     while True:

@@ -7,10 +7,10 @@ heights, and the map shows these predictions. MuJoCo confirms the predictions in
 of the linear regime. For each length and speed, the height of the edge lies between two MuJoCo runs.
 
 At any bump height, semi-active dampers cannot apply some of the forces of a linear controller. For a vehicle with semi-active
-dampers, the map shows the share of the missing force. For such a vehicle, the analysis includes the dampers, and the computed
-response is still proportional to the height. The characteristic of a nonlinear spring or damper departs gradually from its
-linearisation. A difference larger than the share `LEAVES` counts as a limit. With nonlinear characteristics or loads, responses
-are not proportional to the height, so that each cell requires a separate response.
+dampers, the map shows the share of the missing force. With semi-active dampers, the analysis includes these dampers, and the
+computed response is still proportional to the height. The characteristic of a nonlinear spring or damper departs gradually from
+its linearisation. A difference from the linearisation that is larger than the share `LEAVES` counts as a limit. With nonlinear
+characteristics or loads, responses are not proportional to the height, so that each cell requires a separate response.
 """
 
 import math
@@ -211,7 +211,7 @@ def _predict_cells(
     """Returns the attributes `used`, `predicted`, `predicted_time` and `travel` of `Cells`.
 
     If responses are proportional to the bump height, the response over a bump of 1 m predicts the responses for all heights.
-    If they are not, a separate response is computed for each bump.
+    If responses are not proportional to the bump height, a separate response is computed for each bump.
     """
     heights, members = np.array([bump.height for bump in bumps]), dict[Road, list[int]]()
     proportional = not (vehicle.parts.nonlinear or loads)

@@ -195,7 +195,7 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
         ends: height at which the linear regime ends, for each controller.
         wrong: names of controllers whose runs disagree with linear analysis. No height is stated for the controllers in
             `wrong`.
-        where: name of the road on which these runs disagree with linear analysis.
+        where: name of the road on which the runs of the controllers in `wrong` disagree with linear analysis.
         bump: bump with the length and speed for which the heights were found.
         runs: text that states the duration and the timestep of the runs over the bump.
     """

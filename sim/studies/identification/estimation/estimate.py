@@ -6,8 +6,8 @@ from the residuals, alternately with the parameters. `scipy.optimize.least_squar
 residuals.
 
 Intervals. J is the matrix of the derivatives of all residuals. The covariance of the parameters' logarithms is (J'J)^-1. If the
-residuals of a sensor are coloured, this covariance underestimates the true one. In this case, (J'J)^-1 J'RJ (J'J)^-1 is used,
-where R is the autocovariance of an autoregressive model of each sensor's residuals.
+residuals of a sensor are coloured, this covariance underestimates the true covariance. In this case, (J'J)^-1 J'RJ (J'J)^-1 is
+used, where R is the autocovariance of an autoregressive model of each sensor's residuals.
 """
 
 from collections.abc import Mapping, Sequence
@@ -127,8 +127,8 @@ class Estimate:
 
     @cached_property
     def ratios(self) -> dict[str, dict[str, float]]:
-        """For each free parameter, the product with powers of held parameters that the logs determine, as the exponent of each
-        parameter.
+        """For each free parameter, the exponents of the product of this parameter and powers of held parameters that the logs
+        determine.
         """
         return self.structure.determined(self.free)
 

@@ -2,8 +2,8 @@
 these residuals.
 
 The vector x contains all unknowns: the free parameters, the sensor delays [s], and the starting state and offsets of each
-    experiment. A parameter is represented by the logarithm of its ratio to the initial value, or by the ratio itself if the
-    parameter may be zero.
+experiment. A parameter is represented by the logarithm of its ratio to the initial value, or by the ratio itself if the
+parameter may be zero.
 """
 
 import math

@@ -28,8 +28,8 @@ class Structure:
     """Parameters, and combinations of parameters, that the signals do not determine.
 
     Attributes:
-        held: parameters to hold at their initial values, because the signals determine only products of these with other
-            parameters.
+        held: parameters to hold at their initial values, because the signals determine only products of these parameters with
+            others.
         silent: parameters that affect no signal.
         directions: directions along which no signal changes, as components along the logarithms of the parameters, by name.
     """
@@ -39,8 +39,8 @@ class Structure:
     directions: tuple[Mapping[str, float], ...] = ()
 
     def determined(self, free: Sequence[str]) -> dict[str, dict[str, float]]:
-        """Returns, for each free parameter, the product with powers of held parameters that the logs determine, as the exponent
-        of each parameter.
+        """Returns, for each free parameter, the exponents of the product of this parameter and powers of held parameters that
+        the logs determine.
         """
         if not self.directions:
             return {}
@@ -75,8 +75,8 @@ def structure_of(R: Array, free: Sequence[str]) -> Structure:
 
     Args:
         R: derivatives of all residuals with respect to the unknowns at the initial values, or the factor R of the QR
-            decomposition of these derivatives. The first columns belong to the free parameters. At the initial values, these
-            columns are also the derivatives with respect to the logarithms, even for a parameter that may be zero.
+            decomposition of these derivatives. The first columns of R belong to the free parameters. At the initial values, the
+            first columns are also the derivatives with respect to the logarithms, even for a parameter that may be zero.
         free: names of the parameters that may be estimated.
     """
     R, _ = information(R, len(free))

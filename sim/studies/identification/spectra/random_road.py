@@ -50,7 +50,7 @@ DIFFERENCE = 1e-5  # relative step of finite differences of matrices
 
 @dataclass(frozen=True, eq=False)
 class Periodograms:
-    """Measured spectra of the segments of an experiment, which all have the same length.
+    """Measured spectra of the segments of an experiment; all segments have the same length.
 
     Attributes:
         experiment: experiment from whose log the spectra are computed.
@@ -101,8 +101,8 @@ class Periodograms:
 
     @cached_property
     def grid(self) -> tuple[Array, Array]:
-        """Frequencies at which the convolution is computed [Hz], half a bin apart, shape (J,), and True for those below 0,
-        which are mirrored.
+        """Frequencies at which the convolution is computed [Hz], half a bin apart, shape (J,), and True for frequencies below
+        0, which are mirrored.
         """
         places = np.arange(2 * self.first - REACH, 2 * (self.first + len(self.frequencies) - 1) + REACH + 1)
         return np.maximum(np.abs(places), 1) * self.width / 2, places < 0
@@ -219,8 +219,8 @@ class RoadResponse:
         }
 
     def __call__(self, omega: Array) -> tuple[Array, list[Array]]:
-        """Returns the frequency responses, shape (J, q, 2), and their derivatives with respect to the parameters' logarithms,
-        each of this shape.
+        """Returns the frequency responses, shape (J, q, 2), and the derivatives of these responses with respect to the
+        parameters' logarithms, in the same shape.
 
         Args:
             omega: angular frequencies at which the responses are computed [rad/s], shape (J,).

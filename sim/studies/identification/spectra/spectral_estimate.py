@@ -2,7 +2,7 @@
 (`spectral_residuals`).
 
 The search uses Fisher's scoring: Newton's method in a trust region, where the expected information stands for half the second
-    derivative of the deviance.
+derivative of the deviance.
 
 Test. If the models of vehicle and road are right, the ratio of a signal's periodogram to its expected value has an exponential
 distribution at each frequency. The ratio for the mean of several segments has a gamma distribution. The part of a signal that
@@ -142,7 +142,7 @@ def search(of: SpectralResiduals, x: Array, among: Sequence[int] = (), enough: f
 
     Args:
         among: indices of the unknowns that the search may change; by default all unknowns.
-        enough: limit on the derivatives of the deviance; the search ends if they are smaller.
+        enough: limit on the derivatives of the deviance; the search ends if all derivatives are smaller than this limit.
         most: largest number of iterations of the search.
     """
     from scipy.optimize import minimize

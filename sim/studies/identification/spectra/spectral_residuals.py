@@ -9,7 +9,7 @@ With E = L L*, the residuals sqrt(n) (I - L^-1 P L^-*) and the derivatives sqrt(
 information (Fisher), and 2 J'c, which is the gradient of the deviance.
 
 All unknowns are in one vector x: free parameters of vehicle and road as in `residuals`, delays of sensors [s], and noise. The
-    noise of a signal is represented by the logarithm of the noise rms, relative to the rms of the signal.
+noise of a signal is represented by the logarithm of the noise rms, relative to the rms of the signal.
 """
 
 import math
