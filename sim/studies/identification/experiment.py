@@ -69,8 +69,8 @@ class Experiment:
             interpolated linearly.
         road_held: True if the road height during each step is constant, namely the height halfway between the two samples, as
             in MuJoCo.
-        part: name of the force element that is moved on a dyno; empty if the whole vehicle is measured.
-            If a part is named, `road` contains the extension of the part.
+        part: name of the force element that is moved on a dyno; empty if the whole vehicle is measured. If a part is named,
+            `road` contains the extension of the part.
         start: time of the first sample on the log's clock [s].
         random: random road whose profile is unknown but whose spectrum has a known form; None for any other road.
     """

@@ -107,8 +107,8 @@ def drive_bumps(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], 
 
     Args:
         vehicle: vehicle that is simulated.
-        runs: controller, road and requested number of samples of each run. A run may be longer than requested,
-            because all runs of a batch have the same length.
+        runs: controller, road and requested number of samples of each run. A run may be longer than requested, because all runs
+            of a batch have the same length.
         time: sample times of the longest run [s], shape (T,).
     """
     order = sorted(range(len(runs)), key=lambda i: runs[i][2])

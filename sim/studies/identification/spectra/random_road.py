@@ -1,7 +1,7 @@
 """Spectra of logs from a random road, both as measured by the sensors and as predicted for a vehicle.
 
-The road is not measured; only the form of its spectrum is known (ISO 8608). Let F be the frequency response of
-a vehicle from the random sources of the road to the q sensors. The one-sided spectral matrix of the measurements is then
+The road is not measured; only the form of its spectrum is known (ISO 8608). Let F be the frequency response of a vehicle from
+the random sources of the road to the q sensors. The one-sided spectral matrix of the measurements is then
 
     S(f) = F F* + 2 h diag(noise^2),
 
