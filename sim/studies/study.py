@@ -47,7 +47,7 @@ class Study(Generic[R]):
     """A study, whose method `run` returns a result of type R.
 
     A study that has a command defines the following class attributes. A study that only adds a section to the report does not
-    need these attributes.
+    need the attributes of a command.
 
     Attributes:
         name: name of the study in the registry `STUDIES`.

@@ -1,10 +1,10 @@
 """EUSAMA test: the smallest tyre load, relative to the static load, on a plate that moves by 6 mm at up to 25 Hz.
 
-Workshops use this test of the European Shock Absorber Manufacturers Association (TS-02-76, 1976). A plate under one wheel at a
-time moves up and down by 6 mm from peak to peak. The frequency of the plate begins at 25 Hz and decreases. The result of the
-test is the smallest tyre load relative to the static load. Let t be the tyre deflection, t_0 the static tyre deflection, and
-z_r the height of the plate. In a linear vehicle, the ratio of smallest to static tyre load follows from the frequency response
-t / z_r:
+Workshops use the EUSAMA test of the European Shock Absorber Manufacturers Association (TS-02-76, 1976). In the test, a plate
+under one wheel at a time moves up and down by 6 mm from peak to peak. The frequency of the plate begins at 25 Hz and decreases.
+The result of the test is the smallest tyre load relative to the static load. Let t be the tyre deflection, t_0 the static tyre
+deflection, and z_r the height of the plate. In a linear vehicle, the ratio of smallest to static tyre load follows from the
+frequency response t / z_r:
 
     ratio = 1 - 3 mm  max |t / z_r| / t_0,    and 0 if this is negative, because the wheel lifts off.
 
@@ -133,11 +133,13 @@ class Plate(Road):
         return (0.0,)
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of the ground under a wheel [m]. `side` is the road signal of this wheel."""
+        """Returns the height of the ground under a wheel [m]. `side` names the road signal under this wheel."""
         return np.where((t >= 0) & (side == self.wheel), self.stroke * np.sin(self.omega * t), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative of the height of the ground under a wheel [m/s]. `side` is the road signal of the wheel."""
+        """Returns the time derivative of the height of the ground under a wheel [m/s]. `side` names the road signal under the
+        wheel.
+        """
         return np.where((t >= 0) & (side == self.wheel), self.stroke * self.omega * np.cos(self.omega * t), 0.0)
 
     def describe(self) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 Start with `measure_responses`. The L2 gain from the disturbance w to the performance output z includes the weights of z. If a
 weight is a filter, the filter is applied to the signal of the run. Between samples, the signal is assumed to be linear, and at
 the start of the run, the vehicle is assumed to be in equilibrium. If the vehicle file defines a road filter, w is the input of
-this filter. This input is known for a sinusoidal road, but to find it for other roads would require the inverse of the filter,
+this filter. The input w is known for a sinusoidal road, but to find w for other roads would require the inverse of the filter,
 which may not exist.
 """
 
@@ -69,8 +69,8 @@ def _sides(vehicle: Vehicle, response: Response, periodic: bool) -> list[Array]:
     """Returns the output signals, and the sums of signals that are part of the performance output z, shape (T, p). Forces that
     the controller holds over several timesteps jump at each sample.
 
-    If forces are held over several timesteps, the list contains two arrays: the signals after the jumps, and those before the
-    jumps.
+    If forces are held over several timesteps, the returned list contains two arrays: signals after the jumps, and signals
+    before the jumps.
     """
     signals, period = _signals(vehicle, response), float(response.time[1] - response.time[0])
     several = steps_per_sample(vehicle.implementation, period) > 1  # between jumps, z changes continuously from step to step

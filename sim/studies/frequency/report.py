@@ -150,7 +150,7 @@ def describe(
     Args:
         vehicle: vehicle whose responses are described.
         lines: frequency responses of the linear controllers.
-        sweeps: sweeps of the same controllers; empty if only frequency responses were measured.
+        sweeps: sweeps of the linear controllers; empty if only frequency responses were measured.
         own: describing functions of the nonlinear laws, if there are any.
         amplitude: largest height of the roads [m].
         timestep: timestep of the simulation [s].

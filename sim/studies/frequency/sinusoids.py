@@ -159,12 +159,12 @@ def responses(vehicle: Vehicle, controllers: Sequence[AnyController], roads: Seq
 def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, timestep: float) -> int:
     """Returns the number of samples of a run: the evaluated samples, and the earlier samples in which free motion decays.
 
-    - If lines are fitted, free motion that has not yet decayed is fitted, too. In this case, the evaluated samples are preceded
-      by an equal number of samples.
+    - If lines are fitted, free motion that has not yet decayed is fitted, too. The evaluated samples are then preceded by an
+    equal number of samples.
     - If the controller's sample period is longer than the timestep, the signals contain additional lines, which resemble free
-      motion. In this case, free motion must decay before the evaluated samples begin, except slow motion, which is subtracted.
+      motion. Free motion must therefore decay before the evaluated samples begin, except slow motion, which is subtracted.
       Free motion must also decay if the signals are used without a fit.
-    - For a nonlinear law, the shape of the free motion is unknown. In this case, the evaluated samples are preceded by twice as
+    - For a nonlinear law, the shape of the free motion is unknown. The evaluated samples are therefore preceded by twice as
     many samples. The second half of these preceding samples shows whether the run has settled.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
@@ -190,13 +190,14 @@ def chirp_lines(vehicle: Vehicle, timestep: float, count: int) -> tuple[Array, i
     """Returns the frequencies of a chirp and the number of samples in one period of the chirp.
 
     The frequencies are evenly spaced on a logarithmic scale from `LOWEST` to `HIGHEST`. Each frequency is an integer multiple
-    of the lowest one. The period contains an integer number of the controller's sample periods, so aliases (images) of the
-    lines do not disturb the fit.
+    of the lowest frequency. The period contains an integer number of the controller's sample periods, so aliases (images) of
+    the lines do not disturb the fit.
 
     Args:
         vehicle: vehicle with the sample period of the controller.
         timestep: timestep of the simulation [s].
-        count: number of frequencies before equal frequencies are merged and those too high for the sample period are omitted.
+        count: number of frequencies, before duplicates are merged and frequencies that are too high for the sample period are
+            omitted.
 
     Returns:
         Frequencies of the chirp [rad/s], shape (F,), and the number of samples in one period.
@@ -208,7 +209,8 @@ def chirp_lines(vehicle: Vehicle, timestep: float, count: int) -> tuple[Array, i
 
 
 def whole_periods(omega: float, timestep: float, finest: int = FINEST) -> tuple[int, int]:
-    """Returns a number of periods and a number of samples in which they fit exactly, so that the frequency is near `omega`.
+    """Returns a number of periods, and the number of samples over which these periods extend exactly, so that the frequency is
+    near `omega`.
 
     Args:
         omega: requested frequency [rad/s].

@@ -116,8 +116,8 @@ def sweep(
 def _reads_road(vehicle: Vehicle, controller: Controller) -> bool:
     """Returns True if any measurement of the controller depends directly on the road velocity.
 
-    The sampled norm averages such a measurement over a sample period, whereas MuJoCo averages it over a timestep, so the
-    results differ.
+    The sampled norm averages a measurement of the road velocity over a sample period, whereas MuJoCo averages the measurement
+    over a timestep, so the results differ.
     """
     model = vehicle.linear_model
     return bool(np.any(model.Dw[[model.outputs.index(name) for name in controller.measured]]))
@@ -188,7 +188,7 @@ def _gain_failure(road: str, gains: Mapping[str, float], what: str, value: float
         gains: measured gain over each road, by name of the road.
         what: name of the reference value, which the text contains.
         value: reference value, which the text contains.
-        low, high: smallest and largest allowed gain over this road.
+        low, high: smallest and largest allowed gain over the road.
     """
     if low <= gains[road] <= high:
         return []

@@ -100,7 +100,7 @@ def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float)
     exists.
 
     Args:
-        vehicle: vehicle whose outputs are those of the norm.
+        vehicle: vehicle whose outputs define the norm.
         controller: controller that closes the loop.
         norm: value of the loop's H-infinity norm.
         at: frequency at which the loop reaches the norm [rad/s]; may be 0.

@@ -76,8 +76,8 @@ class Extremes:
     """Largest L2 gains of one controller.
 
     Attributes:
-        worst: discrete-time norm of the sampled loop, and the frequency of the sinusoidal road that reaches this norm. The road
-            is constant during each timestep, as in MuJoCo; `synth.analysis.sampled_norm` does not assume this.
+        worst: discrete-time norm of the sampled loop, and the frequency of the sinusoidal road that reaches this norm. In
+            contrast to `synth.analysis.sampled_norm`, the road is assumed to be constant during each timestep, as in MuJoCo.
         integrated: discrete-time norm of the loop if its equations of motion are integrated by RK4.
         tried: frequency of the simulated sinusoid [rad/s], which is near the worst frequency.
         predicted: gain at `tried` including all harmonics, once for the timestep and once for half the timestep; empty if `lti`

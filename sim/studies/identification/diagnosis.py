@@ -2,10 +2,10 @@
 
 Each possible cause changes the predicted signals in a known direction g. The part of g that changes of the unknowns, such as
 the parameters, could also produce is removed. The rest of g is fitted to the residuals by least squares, and the fit gives the
-size of the cause. The share of a cause is the part of the residuals' sum of squares that the cause explains. This share is the
-score (Lagrange multiplier) statistic for one additional parameter, divided by the number of residuals. First, the cause with
-the largest statistic is selected. The other causes are then tested again on the residuals that the selected cause does not
-explain.
+size of the cause. The share of a cause is the part of the residuals' sum of squares that the cause explains. The share of a
+cause is the score (Lagrange multiplier) statistic for one additional parameter, divided by the number of residuals. First, the
+cause with the largest statistic is selected. The other causes are then tested again on the residuals that the selected cause
+does not explain.
 
 Friction builds up over a displacement, as in the Dahl model. Several displacements are tried, and the best one is used, because
 a short displacement alone does not detect friction that small motion fails to overcome.

@@ -294,8 +294,8 @@ def _mirror(
     """Returns a second solution for a quarter-car that fits equally well, in which suspension and tyre are exchanged.
 
     Let k_s and c_s be the stiffness and damping of the suspension, k_t and c_t those of the tyre, and m = m_s / (m_s + m_u).
-    If the tyre is damped, the body's motion alone cannot distinguish these values from k_t m, c_t m for the suspension and k_s
-    / m, c_s / m for the tyre.
+    If the tyre is damped, the body's motion alone cannot distinguish suspension and tyre from a suspension with k_t m, c_t m
+    and a tyre with k_s / m, c_s / m.
     """
     names = ("suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping")
     if any(name not in of.free for name in names) or "sprung_mass" not in of.problem.vehicle.parameters:

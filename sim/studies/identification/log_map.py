@@ -55,8 +55,8 @@ def _delay(value: Any, context: Mapping[str, Any]) -> float | None:
 
 @dataclass(frozen=True)
 class SensorSection(Section):
-    """[signals.NAME]: a signal of the vehicle and the sensor that measures this signal. If a key is None, its value is
-    estimated.
+    """[signals.NAME]: a signal of the vehicle and the sensor that measures this signal. The value None means that the quantity
+    is estimated.
     """
 
     column: Annotated[str, Text("heading of the column, with the unit in brackets if the file gives none")] = ""

@@ -5,15 +5,15 @@ A vehicle with linear springs and dampers has the equations
     x' = A x + Bv v + Bd v',    y = C x + Dv v + Dd v',
 
 where v contains the road heights and control forces. Heights and forces are interpolated linearly between samples, so that a
-matrix exponential for [x; v; v'] gives the exact state at the next sample. The same matrix exponential also gives the
-measurements of a delayed sensor at any time within the step.
+matrix exponential for [x; v; v'] gives the exact state at the next sample. The matrix exponential also gives the measurements
+of a delayed sensor at any time between two samples.
 
-The matrices of a step between samples are differentiated by central differences. With these matrix derivatives, the recursion
-that computes the response also gives the derivatives of the response. The relative error of the response derivatives is about
-1e-10, as for the matrices, and does not grow with the length of the log.
+The matrices of a step between samples are differentiated by central differences. With the derivatives of the matrices, the
+recursion that computes the response also gives the derivatives of the response. The relative error of the response derivatives
+is about 1e-10, as for the matrices, and does not grow with the length of the log.
 
-A vehicle with force elements or tables is integrated by RK4 (`sim.linear.stepped`). For such a vehicle, the derivatives are
-finite differences of responses.
+A vehicle with force elements or tables is integrated by RK4 (`sim.linear.stepped`). For a vehicle with force elements or
+tables, the derivatives are finite differences of responses.
 """
 
 import math

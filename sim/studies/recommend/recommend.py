@@ -183,8 +183,8 @@ class _Work:
     def _repeat(self, family: Family, search: bool) -> None:
         """Corrects a family's limits if its best candidate exceeds limits in MuJoCo, or does not use these limits fully.
 
-        If `search` is True, the family is then searched again. Otherwise, the best candidate under the corrected limits is
-        chosen from all candidates of the earlier search.
+        If `search` is True, the family is then searched again. If `search` is False, the best candidate under the corrected
+        limits is chosen from all candidates of the earlier search.
         """
         task, (last, rating, _) = self.task, family.best(self.task) or (None, None, None)
         if last not in self.driven or rating is None:

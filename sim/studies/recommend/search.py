@@ -2,9 +2,9 @@
 
 The number of evaluations for a family is fixed, so that the search finds the same candidates on any computer. MuJoCo simulates
 bump stops, clipped forces, noise and nonlinear characteristics, which the expected metrics neglect or linearise. In MuJoCo, the
-best candidate may therefore come closer to a limit than expected, or may exceed the limit. In this case, the search is repeated
-with a corrected limit. The correction factor is the share of the limit that the candidate used in MuJoCo, divided by the
-expected share.
+best candidate may therefore come closer to a limit than expected, or may exceed the limit. If a limit is exceeded or not fully
+used, the search is repeated with a corrected limit. The correction factor is the share of the limit that the candidate used in
+MuJoCo, divided by the expected share.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -63,8 +63,8 @@ class Within(CheckedFields):
         """Returns the used share of each limit, which is 1 if the limit is reached; `reserve` is the share of stroke and force
         to keep unused.
 
-        The time off the ground depends on rare tyre loads, so its reserve is larger. The usable share of this time is (1 -
-        reserve) to the power of `TAIL`.
+        The time off the ground depends on rare tyre loads, so the reserve for this time is larger. The usable share of the
+        allowed time off the ground is (1 - reserve) to the power of `TAIL`.
         """
         share, gain, least = 1 - reserve, math.log(max(usage.gain_margin, 1 + 1e-9)), 1e-9
         used = {

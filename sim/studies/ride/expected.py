@@ -10,9 +10,9 @@ frequency response of the implemented loop, the spectrum and the covariance of o
 If the sample period of the controller is several timesteps, the loop is periodic, and H has a value for each step of a period.
 A sinusoidal road then causes aliases (images) at omega + 2 pi k / period, and each image is weighted at its own frequency. A
 spectrum is a function of the road frequency omega. The spectrum includes the images, because |H e|^2 is computed at each step
-of the period. The mean of this spectrum over the steps is the sum over the images (Parseval). Means over time are computed as
-means over the steps of a period. Standard deviations from road to road, and largest values, are computed from the mean
-spectrum.
+of the period. The mean of the spectrum over the steps of a period is the sum over the images (Parseval). Means over time are
+computed as means over the steps of a period. Standard deviations from road to road, and largest values, are computed from the
+mean spectrum.
 
 The band contains all frequency lines of the road, and extends half a line spacing beyond the first and the last line. The
 integral over the band then equals the sum over the lines, to second order in the line spacing. Signals are assumed to be

@@ -59,7 +59,7 @@ class Ride:
 
     @property
     def share(self) -> float | None:
-        """Standard deviation relative to the prediction; None if either of them is unknown."""
+        """Standard deviation from road to road, divided by the prediction; None if the deviation or the prediction is unknown."""
         share = self.spread / self.predicted if self.predicted else math.nan
         return share if math.isfinite(share) else None
 

@@ -92,8 +92,8 @@ def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
     """Returns the names of the metrics whose largest value is shown in a column, by key; empty if the vehicle has none of these
     metrics.
 
-    If the vehicle carries a person, `ride` contains the points with a person. In this case, there is an additional key
-    `ride_...` for each point.
+    If the vehicle carries a person, `ride` contains the points with a person. For a vehicle with a person, there is an
+    additional key `ride_...` for each point.
     """
     columns: dict[str, tuple[str, ...]] = {}
     for key, metrics in compared_metrics(vehicle).items():

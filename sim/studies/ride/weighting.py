@@ -5,10 +5,10 @@ weighting.
 
 The sampled filter is exactly H with a first-order hold at the input. The sampled filter consists of parallel second-order
 recursions, one for each pair of poles. The hold attenuates high frequencies by the factor d / (omega h)^2, where d = 2 - 2
-cos(omega h), and h is the timestep. A filter with seven taps compensates for this attenuation. For d = 2 - 2 cos(omega h), the
-filter is 1 + d/12 + d^2/90 + d^3/560, the first terms of the series of the squared arcsine. The relative error that remains is
-(omega h)^8 / 3150. At 80 Hz, the error is 3e-6 for a timestep of 1 ms, and 1e-4 for a timestep of 2 ms. For a timestep of 5 ms,
-the error is 0.3 % at 40 Hz and 5 % at 100 Hz, the Nyquist frequency.
+cos(omega h), and h is the timestep. A filter with seven taps compensates for the attenuation that the hold causes. For d = 2 -
+2 cos(omega h), the filter is 1 + d/12 + d^2/90 + d^3/560, the first terms of the series of the squared arcsine. The relative
+error that remains is (omega h)^8 / 3150. At 80 Hz, the error is 3e-6 for a timestep of 1 ms, and 1e-4 for a timestep of 2 ms.
+For a timestep of 5 ms, the error is 0.3 % at 40 Hz and 5 % at 100 Hz, the Nyquist frequency.
 """
 
 from dataclasses import dataclass

@@ -1,11 +1,11 @@
 """Slowest mode of a loop whose forces are delayed by many samples, computed without all eigenvalues of the pending forces.
 
 If the delay is d samples, the state of the loop contains d pending forces, which the law has computed but which do not act yet.
-The map from the state at one sample to the state at the next sample has eigenvalues of almost equal magnitude. An iteration can
-therefore not separate the largest of these eigenvalues from the others. This module uses the d-th power of the map, which leads
-from one state to the state after the whole delay. The eigenvalues of the d-th power are well separated, because decaying modes
-have nearly vanished after the delay. A few dozen applications of the d-th power therefore suffice (Arnoldi's method; Lehoucq,
-Sorensen, Yang 1998, ARPACK Users' Guide).
+The map from the state at one sample to the state at the next sample has eigenvalues of almost equal magnitude. An iteration of
+the map can therefore not separate the largest eigenvalue from the others. This module uses the d-th power of the map, which
+leads from one state to the state after the whole delay. The eigenvalues of the d-th power are well separated, because decaying
+modes have nearly vanished after the delay. A few dozen applications of the d-th power therefore suffice (Arnoldi's method;
+Lehoucq, Sorensen, Yang 1998, ARPACK Users' Guide).
 """
 
 import numpy as np

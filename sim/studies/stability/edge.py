@@ -2,9 +2,9 @@
 
 Gain factor, delay and sample period are each called the *amount* of a search.
 
-The derivative of MuJoCo's step shows whether a loop is stable (`simulated_loop.py`). Two runs then confirm the limit, because
-one of them decays and the other grows. Each run starts in the slowest mode of its loop, so that growth or decay is visible from
-the start. The duration of a run depends on the growth or decay rate of the slowest mode.
+The derivative of MuJoCo's step shows whether a loop is stable (`simulated_loop.py`). Two runs then confirm the stability limit,
+because one of them decays and the other grows. Each run starts in the slowest mode of its loop, so that growth or decay is
+visible from the start. The duration of a run depends on the growth or decay rate of the slowest mode.
 """
 
 import math

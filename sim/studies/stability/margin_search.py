@@ -44,9 +44,9 @@ class GainMargin:
     """Upper or lower gain margin of a loop, predicted and found in MuJoCo; infinite if no gain factor makes the loop unstable.
 
     MuJoCo holds the force during each timestep, so that the simulated loop is a sampled loop. For small timesteps, the margin
-    of the sampled loop approaches that of the continuous loop with an error proportional to the timestep. If these margins
-    differ at the requested timestep, MuJoCo's margins at two smaller timesteps, h and h/2, are extrapolated to a timestep of 0.
-    `at_prediction` chooses h.
+    of the sampled loop approaches that of the continuous loop with an error proportional to the timestep. If the margins of the
+    sampled and the continuous loop differ at the requested timestep, two smaller timesteps h and h/2 are simulated. MuJoCo's
+    margins at both timesteps are extrapolated to a timestep of 0. `at_prediction` chooses h.
 
     Attributes:
         own: predicted gain margin of the continuous loop.

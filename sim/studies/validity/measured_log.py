@@ -103,7 +103,7 @@ class MeasuredComparison:
     Attributes:
         log: measured log that is compared with the runs.
         start: time of the log [s] at which the runs start.
-        correlation: correlation coefficient for this start time, averaged over all signals, for the run with the largest
+        correlation: correlation coefficient at the time `start`, averaged over all signals, for the run with the largest
             average.
         given: True if the user chose the start time.
         response: measured signals during the time of the runs; NaN within gaps.

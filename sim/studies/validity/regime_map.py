@@ -1,5 +1,5 @@
-"""Map of validity for a grid of bumps, which shows where linear analysis is valid, and which limit is reached first where it is
-not.
+"""Map of validity for a grid of bumps, which shows where linear analysis is valid, and which limit is reached first outside
+this range.
 
 The vehicle is linear until the first limit is reached. The first limit and its time can therefore be predicted from the linear
 response, which is proportional to the bump height. One linear response for each length and speed predicts the cells for all

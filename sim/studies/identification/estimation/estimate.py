@@ -6,8 +6,8 @@ from the residuals, alternately with the parameters. `scipy.optimize.least_squar
 residuals.
 
 Intervals. J is the matrix of the derivatives of all residuals. The covariance of the parameters' logarithms is (J'J)^-1. If the
-residuals of a sensor are coloured, this covariance underestimates the true covariance. In this case, (J'J)^-1 J'RJ (J'J)^-1 is
-used, where R is the autocovariance of an autoregressive model of each sensor's residuals.
+residuals of a sensor are coloured, (J'J)^-1 underestimates the true covariance. For coloured residuals, (J'J)^-1 J'RJ (J'J)^-1
+is used, where R is the autocovariance of an autoregressive model of each sensor's residuals.
 """
 
 from collections.abc import Mapping, Sequence

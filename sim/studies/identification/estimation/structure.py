@@ -3,10 +3,10 @@
 The matrix J contains the derivatives of all residuals, and J'J is the information matrix. The columns of J that belong to the
 parameters are projected onto the orthogonal complement of the columns of all other unknowns. The singular value decomposition
 of the projected columns gives the singular values s. The columns of V are directions in the space of the parameters'
-logarithms. If a direction has s = 0, a change of the logarithms along this direction changes no signal. The motion of a
-quarter-car has one such direction, along which all masses, stiffnesses and dampings are multiplied by a common factor. For each
-direction with s = 0, one parameter is then fixed at its initial value. For each parameter that is not fixed, the logs determine
-the product of this parameter with powers of the fixed parameters.
+logarithms. If a direction has s = 0, a change of the logarithms along this direction changes no signal. For a quarter-car, one
+direction changes no motion: all masses, stiffnesses and dampings are multiplied by a common factor. For each direction with s =
+0, one parameter is then fixed at its initial value. For each parameter that is not fixed, the logs determine the product of
+this parameter with powers of the fixed parameters.
 """
 
 from collections.abc import Mapping, Sequence
@@ -55,8 +55,8 @@ class Structure:
 
 
 def information(R: Array, p: int) -> tuple[Array, Array]:
-    """Returns the information on the first p unknowns if all unknowns are estimated, and how changes of the other unknowns
-    compensate for changes of these p.
+    """Returns the information on the first p unknowns if all unknowns are estimated, and how other unknowns compensate for
+    changes of the first p.
 
     Args:
         R: derivatives of all residuals with respect to the u unknowns, or the factor R of their QR decomposition, shape (k, u).

@@ -6,8 +6,8 @@ derivative of the deviance.
 
 Test. If the models of vehicle and road are right, the ratio of a signal's periodogram to its expected value has an exponential
 distribution at each frequency. The ratio for the mean of several segments has a gamma distribution. The part of a signal that
-cannot be predicted from the other signals has a ratio with the same distributions. Each of these two ratios is tested twice:
-one test compares the ratio's means in bands with 1, and another (Kolmogorov) checks the distribution. The smallest probability
+cannot be predicted from the other signals has a ratio with the same distributions. Both ratios are tested twice: one test
+compares the means of the ratio in bands with 1, and another test (Kolmogorov) checks the distribution. The smallest probability
 of all tests is multiplied by the number of tests.
 """
 

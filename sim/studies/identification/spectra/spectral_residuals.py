@@ -161,8 +161,8 @@ class SpectralResiduals(Residuals):
         """Returns half the gradient of the deviance at each frequency of all periodograms, shape (number of frequencies,
         unknowns).
 
-        The sum of the outer products of the rows estimates the covariance of the sum of the rows. This estimate is also valid
-        if the spectra differ from their expected values.
+        The sum of the outer products of the rows estimates the covariance of the sum of the rows. The estimate of the
+        covariance is also valid if the spectra differ from their expected values.
         """
         rows = list[Array]()
         for each, (left, changes) in zip(self.spectra, self.whitened(x), strict=True):
