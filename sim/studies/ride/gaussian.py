@@ -10,14 +10,14 @@ For a cyclostationary signal, the exact statistics are averaged over the steps o
 from the mean spectrum.
 
 The formula for the variance of a mean square is asymptotic: it applies to a window much longer than the correlation time. The
-function min(x, s)^2 is a sum of Hermite polynomials of x / sigma. Let rho be the autocorrelation. The term of degree k with
-coefficient c_k contributes (2 / T) c_k^2 times the integral of rho^k from 0 to infinity. Without clipping, only c_2 is nonzero,
-and the variance of the mean square is the integral of S^2 df / T.
+function min(x, s)^2 is a sum of Hermite polynomials of x / sigma. Let rho be the autocorrelation of the signal. The term of
+degree k with coefficient c_k contributes (2 / T) c_k^2 times the integral of rho^k from 0 to infinity. Without clipping, only
+c_2 is nonzero, and the variance of the mean square is the integral of S^2 df / T.
 
-The other statistics are approximate. The largest magnitude has Vanmarcke's distribution for a double barrier (E. H. Vanmarcke
-(1975), J. Appl. Mech. 42, 215-220). The variance of the running mean square is exact. The distribution of the running mean
-square is assumed to be a gamma distribution. The fluctuations of the running mean square are assumed to resemble those of a
-Gaussian signal with the same spectrum.
+The statistics of largest values are approximate. The largest magnitude has Vanmarcke's distribution for a double barrier (E. H.
+Vanmarcke (1975), J. Appl. Mech. 42, 215-220). The variance of the running mean square is exact. The distribution of the running
+mean square is assumed to be a gamma distribution. The fluctuations of the running mean square are assumed to resemble those of
+a Gaussian signal with the same spectrum.
 """
 
 import math

@@ -110,7 +110,7 @@ class Remainder:
         Args:
             vehicle: linear vehicle with r wheels, in which the nonlinear characteristics are replaced by straight lines.
             road: spectrum of the road.
-            omega: frequencies [rad/s], shape (F,).
+            omega: frequencies of the road [rad/s], shape (F,).
             timestep: timestep of the sampled loop [s].
             at_steps: result of `stepwise_frequency_response` for the loop, from the road velocities and from forces along the
                 deflections `pulls`.

@@ -129,7 +129,7 @@ class FinalAngle(Angle):
 class Acceleration(Metric):
     """Base class for metrics of a vertical acceleration of the body.
 
-    Controllers are compared at the points that have an occupant, or at all points if there is no occupant.
+    Controllers are compared at the points that carry a person, or at all points if there is no person.
     """
 
     unit, of, over_runs = "m/s2", "accelerations", LARGEST
