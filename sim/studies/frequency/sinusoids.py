@@ -160,12 +160,12 @@ def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, times
     """Returns the number of samples of a run: the evaluated samples, and the earlier samples in which free motion decays.
 
     - If lines are fitted, free motion that has not yet decayed is fitted, too. The evaluated samples are then preceded by an
-    equal number of samples.
+      equal number of samples.
     - If the controller's sample period is longer than the timestep, the signals contain additional lines, which resemble free
       motion. Free motion must therefore decay before the evaluated samples begin, except slow motion, which is subtracted.
       Free motion must also decay if the signals are used without a fit.
     - For a nonlinear law, the shape of the free motion is unknown. The evaluated samples are therefore preceded by twice as
-    many samples. The second half of these preceding samples shows whether the run has settled.
+      many samples. The second half of these preceding samples shows whether the run has settled.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
     if controller.linear is not True:
