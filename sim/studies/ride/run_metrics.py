@@ -146,10 +146,10 @@ def measured_samples(
     """Returns the index of the first measured sample, and the index after the last measured one (None for the end of the run).
 
     - On a random road, the measurement begins when the transient has decayed, but no later than at half of the run. The
-    transient of a law in Python is unknown, so that the measurement begins at half of the run.
+      transient of a law in Python is unknown, so that the measurement begins at half of the run.
     - Over a single obstacle, the measurement covers the time in which the vehicle crosses the obstacle, and is the same for all
-      controllers. The measurement of an obstacle begins when the first wheel reaches the obstacle. The measurement ends
-      when the passive vehicle would have settled after its last wheel left the obstacle.
+      controllers. The measurement of an obstacle begins when the first wheel reaches the obstacle. The measurement ends when
+      the passive vehicle would have settled after its last wheel left the obstacle.
     - On other roads, and if loads act, the whole run is measured.
 
     Args:
@@ -157,7 +157,7 @@ def measured_samples(
         road: road on which all runs are simulated.
         duration: duration of each run [s].
         timestep: timestep of the simulation [s].
-        settle: time at which the measurement on a random road begins [s]; None to choose this time by the rule above.
+        settle: time at which the measurement on a random road begins [s]; None to choose this time as described above.
 
     Raises:
         InputError: `settle` is longer than half of the run, or the road is not random.
