@@ -1,4 +1,4 @@
-"""Name of the command of a study."""
+"""Name of the command that runs a study."""
 
 from importlib.util import find_spec
 

@@ -1,4 +1,6 @@
-"""Subject of a report: the vehicle, the controllers, their runs over the road, and other results that several sections use."""
+"""Subject of a report: the vehicle, the controllers, their runs over the road, and results that several sections of the report
+use.
+"""
 
 import math
 from dataclasses import dataclass
@@ -33,22 +35,22 @@ AVERAGE = "C"  # class of the road on which the report compares the controllers
 class Subject:
     """Subject of a report.
 
-    Designs and certificates are for the *ideal loop*, which is continuous and has no limits. MuJoCo simulates the *implemented
-    loop*, which includes `[limits]` and `[implementation]` of the vehicle file.
+    Controllers are designed and certified for the *ideal loop*, which is continuous and has no limits. MuJoCo simulates the
+    *implemented loop*, to which the sections `[limits]` and `[implementation]` of the vehicle file apply.
 
     Attributes:
         vehicle: vehicle that the report describes.
         designer: object that designs the controllers for the vehicle.
-        controllers: controllers of the report with a linear law.
+        controllers: controllers of the report that have a linear law.
         timestep: timestep of the simulation [s].
-        quick: True to omit stability margins, the map of validity and the ride.
-        laws: controllers of the report to which linear analysis does not apply: laws in Python and semi-active laws.
-        front: axes of a trade-off in the syntax of `--front`; None if no trade-off is requested.
-        loads: loads that act on the body on a flat road.
+        quick: True to omit the stability margins, the map of validity and the ride on random roads.
+        laws: controllers of the report to which linear analysis does not apply, which are laws in Python and semi-active laws.
+        front: axes of a trade-off, in the syntax of the option `--front`; None if no trade-off is requested.
+        loads: loads on the body that are simulated on a flat road.
         exported_controller: controller with exported code; None if there is no exported code.
-        own_road: road of the report; None for the paper's bump.
-        road_name: name of the road as the user gave it.
-        duration: duration of the runs over the road or bump [s].
+        own_road: road that the report uses; None for the bump of the paper.
+        road_name: name of the road as the user entered it.
+        duration: duration of the runs over the road or the bump [s].
     """
 
     vehicle: Vehicle
@@ -66,17 +68,17 @@ class Subject:
 
     @property
     def road(self) -> Road:
-        """Road used in all runs: `own_road`, or the bump of the reference paper."""
+        """Road that is used in all runs: `own_road` or, if this is None, the bump of the paper."""
         return self.own_road or Bump()
 
     @property
     def where(self) -> str:
-        """Short name of the road in sentences: "the road" or "the paper's bump"."""
+        """Short name of the road for sentences: "the road" or "the paper's bump"."""
         return "the road" if self.own_road is not None else "the paper's bump"
 
     @property
     def speed(self) -> float:
-        """Speed over sinusoidal roads [m/s]: the speed over the road, or the speed over the paper's bump for a test rig."""
+        """Speed on sinusoidal roads [m/s]: the speed on the report's road; for a test rig, the speed over the paper's bump."""
         return self.road.speed or Bump().speed
 
     @cached_property
@@ -86,7 +88,7 @@ class Subject:
 
     @cached_property
     def runs(self) -> list[Run]:
-        """Runs of all controllers over the road of the report."""
+        """Runs of all controllers over the report's road."""
         return run_controllers(self.vehicle, self.driven_controllers, self.road, self.time)
 
     @cached_property
@@ -100,7 +102,7 @@ class Subject:
 
     @cached_property
     def run_metrics(self) -> list[RunMetrics]:
-        """Metrics of the runs over `own_road`; empty for the bump."""
+        """Metrics of the runs over `own_road`; empty if the road is the bump."""
         return [] if self.own_road is None else [measure_run(run, *self.samples) for run in self.runs]
 
     @property
@@ -111,16 +113,18 @@ class Subject:
 
     @property
     def driven_controllers(self) -> tuple[AnyController, ...]:
-        """All controllers of the report, which MuJoCo simulates."""
+        """All controllers of the report, each simulated in MuJoCo."""
         return (*self.controllers, *self.laws)
 
     def unstable(self, controller: AnyController) -> bool:
-        """Returns True if the controller is linear and its ideal or implemented loop is unstable."""
+        """Returns True if the controller is linear and either its ideal or its implemented loop is unstable."""
         return controller.linear and controller not in self.stable
 
     @property
     def noise_qualifier(self) -> str:
-        """Text that names what runs omit, such as ", without its noise"; empty if the vehicle has no noise and quantisation."""
+        """Text that names what the runs omit, such as ", without its noise"; empty if the vehicle has no noise and
+        quantisation.
+        """
         noise = self.vehicle.implementation.noise_text
         return f", without its {noise}" if noise else ""
 
@@ -136,7 +140,7 @@ class Subject:
 
     @cached_property
     def built_norms(self) -> dict[str, SampledNorm]:
-        """L2 gains of the implemented loops by controller; empty if these loops do not differ from the ideal loops."""
+        """L2 gains of the implemented loops, by controller; empty if the implemented loops do not differ from the ideal loops."""
         vehicle = self.vehicle
         if vehicle.limits.actuator_bandwidth is None and vehicle.implementation.undelayed:
             return {}
@@ -145,22 +149,26 @@ class Subject:
 
     @cached_property
     def styles(self) -> dict[str, Style]:
-        """Line style of each controller, which is the same in all figures of the report."""
+        """Line style of each controller, identical in all figures of the report."""
         return styles(tuple(one.name for one in self.driven_controllers))
 
     @property
     def active(self) -> list[Controller]:
-        """Controllers with stability margins: they request a force, and their ideal and implemented loops are stable."""
+        """Controllers that have stability margins, because they command a force and their ideal and implemented loops are
+        stable.
+        """
         return [one for one in self.stable if one.law.acts and one.certificate.stable]
 
     @property
     def margins_timestep(self) -> float:
-        """Timestep for the margins [s]: the smaller of the default of `roadproof margins` and the report's timestep."""
+        """Timestep for the margins [s]: the default of `roadproof margins` or the report's timestep, whichever is smaller."""
         return min(TIMESTEP, self.timestep)
 
     @property
     def map_timestep(self) -> float:
-        """Timestep for the runs of the map [s]: about twice the report's timestep, and a divisor of the sample period."""
+        """Timestep for the runs of the validity map [s]: about twice the report's timestep, and a divisor of the sample
+        period.
+        """
         period = self.vehicle.implementation.sample_period or 2 * self.timestep
         step = period / math.ceil(period / (COARSER * self.timestep) - 1e-9)
         try:
@@ -172,7 +180,7 @@ class Subject:
 
 
 def file_stem(vehicle: Vehicle) -> str:
-    """Returns the name of the vehicle file without its suffix, or the vehicle type if there is no file."""
+    """Returns the name of the vehicle file without the file suffix; if there is no file, the name of the vehicle type."""
     return Path(vehicle.source).stem if vehicle.source else vehicle.kind.name
 
 

@@ -1,4 +1,4 @@
-"""The study of frequency responses (Fig. 3 of the paper), with largest gains and the H-infinity norm, measured in MuJoCo."""
+"""The study of frequency responses (Fig. 3 of the paper), largest gains and the H-infinity norm, all measured in MuJoCo."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from sim.studies.study import Study
 
 
 class SweepCommand(Study):
-    """Texts and options of `sim.studies.frequency.study.SweepStudy`."""
+    """Printed texts and command options of `sim.studies.frequency.study.SweepStudy`."""
 
     description = "Measure frequency responses in MuJoCo and compare them with linear analysis."
     epilog = """

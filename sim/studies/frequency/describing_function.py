@@ -1,9 +1,9 @@
 """Describing function of a loop with a law in Python: the loop's response to one sinusoid at a time, measured in MuJoCo.
 
-The law may be nonlinear. A chirp would therefore mix the responses at different frequencies, and linear analysis cannot predict
-these responses. For each output, the result contains the fundamental, which is the component at the frequency of the road. The
-result also contains the share of energy at other frequencies, which is due to harmonics, a mean value or transients. The result
-can depend on the height of the road.
+The control law may be nonlinear. For a nonlinear law, a chirp would mix the responses at different frequencies, and linear
+analysis cannot predict these responses. For each output, the result contains the fundamental, which is the component of the
+signal at the frequency of the road. The result also contains the share of the signal's energy at other frequencies, which is
+due to harmonics, a mean value or transients. The describing function can depend on the height of the road.
 """
 
 from collections.abc import Sequence
@@ -27,24 +27,24 @@ STEADY = 1e-3  # a note is printed if the fundamental changes by more than this 
 
 @dataclass(frozen=True, eq=False)
 class DescribingFunction:
-    """Describing function of one controller. Each frequency has its own MuJoCo run.
+    """Describing function of one controller. Each frequency is measured in a separate MuJoCo run.
 
     Attributes:
         controller: controller whose law is measured.
-        outputs: names of the p output signals.
-        units: units of the signals.
-        omega: frequencies of the sinusoidal roads [rad/s], shape (F,).
-        diverged: time at which each run diverged [s], shape (F,); infinite for a run that did not diverge. A diverged run is
-            not measured.
+        outputs: names of the vehicle's p output signals.
+        units: units of the output signals.
+        omega: frequencies of the sinusoidal roads [rad/s], shape (F,), one for each run.
+        diverged: time at which each run diverged [s], shape (F,); infinite for a run that did not diverge. Nothing is measured
+            in a diverged run.
         law_diverged: True for each run that diverged only because the states of the law overflowed, shape (F,).
-        measured: complex amplitude of each output's fundamental, divided by that of the road velocity under the first wheel,
-            shape (F, p).
+        measured: complex amplitude of each output's fundamental, divided by the complex amplitude of the road velocity under
+            the first wheel, shape (F, p).
         outside: share of each output's energy that is not in the fundamental, shape (F, p); NaN if the output does not move.
-        gains: L2 gain from w to z at each frequency, shape (F,).
-        drift: largest relative change of a fundamental from one period of the lowest frequency to the next.
-        without: text that names the noise and quantisation which the vehicle file contains but these runs omit; empty if the
-            runs omit nothing.
-        ended: names of the limits that were reached in any of the runs and so ended the linear regime.
+        gains: L2 gain from the disturbance w to the performance output z at each frequency, shape (F,).
+        drift: largest relative change of any output's fundamental from one period of the lowest frequency to the next.
+        without: text that names the noise and quantisation that the vehicle file defines but these runs omit; empty if the runs
+            omit nothing.
+        ended: names of the limits that ended the linear regime in any of the runs.
     """
 
     controller: AnyController
@@ -67,7 +67,7 @@ class DescribingFunction:
 
     @property
     def worst_omega(self) -> float:
-        """Frequency with the largest gain [rad/s]."""
+        """Frequency at which the L2 gain is largest [rad/s]."""
         return float(self.omega[np.argmax(np.nan_to_num(self.gains))])
 
 
@@ -76,9 +76,9 @@ def describing_function(
 ) -> DescribingFunction:
     """Measures the describing function of a controller, with one run for each sinusoidal road.
 
-    Each run lasts three periods of the lowest frequency. During the first period, transients decay. The arguments are those of
-    `sim.studies.frequency.identification.measure_responses`, which may also raise the same errors. In addition, the law may
-    raise an error of its own.
+    Each run lasts three periods of the lowest frequency. Transients decay during the first period. The arguments are those of
+    `sim.studies.frequency.identification.measure_responses`, which may also raise the same errors. In addition, the control law
+    itself may raise an error.
     """
     check(vehicle, (), amplitude, timestep)
     without, vehicle = vehicle.implementation.noise_text, ideal_measurements(vehicle)
@@ -110,13 +110,13 @@ def describing_function(
 
 
 def _fundamental(vehicle: Vehicle, units: Sequence[str], response: Response, omega: float) -> tuple[Array, Array]:
-    """Returns the fundamental of each output, divided by that of the road velocity, and the share of its energy at other
-    frequencies, shapes (p,).
+    """Returns the fundamental of each output divided by that of the road velocity, and the share of each output's energy at
+    other frequencies, shapes (p,).
 
     Args:
         vehicle: vehicle of the run.
         units: units of the p outputs.
-        response: response over an integer number of periods.
+        response: response of the vehicle over an integer number of periods of the road.
         omega: frequency of the road [rad/s].
     """
     turning = 2 * np.exp(-1j * omega * response.time) / len(response.time)

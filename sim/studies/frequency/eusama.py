@@ -1,15 +1,16 @@
-"""EUSAMA test: the smallest load of a tyre relative to the static load, on a plate that moves by 6 mm at up to 25 Hz.
+"""EUSAMA test: the smallest tyre load, relative to the static load, on a plate that moves by 6 mm at up to 25 Hz.
 
-Workshops use this test of the European Shock Absorber Manufacturers Association (TS-02-76, 1976). A plate under one wheel at a
-time moves up and down by 6 mm from peak to peak. The frequency of the plate begins at 25 Hz and decreases. The test grades the
-smallest tyre load relative to the static load. In a linear vehicle, this ratio follows from the static tyre deflection t_0 and
-the frequency response t / z_r, from the height z_r of the plate to the tyre deflection t:
+Workshops use the EUSAMA test of the European Shock Absorber Manufacturers Association (TS-02-76, 1976). In the test, a plate
+under one wheel at a time moves up and down by 6 mm from peak to peak. The frequency of the plate begins at 25 Hz and decreases.
+The result of the test is the smallest tyre load relative to the static load. Let t be the tyre deflection, t_0 the static tyre
+deflection, and z_r the height of the plate. In a linear vehicle, the ratio of smallest to static tyre load follows from the
+frequency response t / z_r:
 
     ratio = 1 - 3 mm  max |t / z_r| / t_0,    and 0 if this is negative, because the wheel lifts off.
 
-MuJoCo simulates each wheel at the worst frequency. The test is disputed, because cars with intact dampers fail if they have
-stiff tyres and light axles: M. Klapka, I. Mazurek and O. Machacek (2016), "Analysis of causes of false-negative evaluation of
-EUSAMA methodology for suspension assessment", Engineering Mechanics 2016, Svratka.
+MuJoCo simulates the plate under each wheel at the worst frequency. The validity of the test is disputed, because cars with
+intact dampers fail if they have stiff tyres and light axles: M. Klapka, I. Mazurek and O. Machacek (2016), "Analysis of causes
+of false-negative evaluation of EUSAMA methodology for suspension assessment", Engineering Mechanics 2016, Svratka.
 """
 
 import math
@@ -50,13 +51,13 @@ class MinimumLoad:
 
     Attributes:
         tyre: name of the tyre deflection signal.
-        ratio: predicted minimum over all frequencies for the implemented (sampled-data) loop; never below 0.
-        omega: frequency of the plate at this minimum [rad/s].
-        driven: predicted minimum at the frequency of the MuJoCo run, which is near `omega`; may be negative.
-        measured: minimum ratio in the MuJoCo run.
-        allowed: allowed difference between `driven` and `measured`. The difference is not limited (infinite) for vehicles with
-            nonlinear springs or dampers, because the prediction uses their linearisation.
-        ended: names of the limits that were reached and so ended the linear regime.
+        ratio: predicted minimum of the load ratio over all frequencies for the implemented (sampled-data) loop; never below 0.
+        omega: frequency of the plate at the predicted minimum [rad/s].
+        driven: predicted minimum of the load ratio at the frequency of the MuJoCo run, which is near `omega`; may be negative.
+        measured: minimum of the load ratio in the MuJoCo run.
+        allowed: allowed difference between `driven` and `measured`. `allowed` is infinite for a vehicle with nonlinear springs
+            or dampers, because the prediction uses a linearisation.
+        ended: names of the limits that ended the linear regime in the run.
     """
 
     tyre: str
@@ -69,8 +70,8 @@ class MinimumLoad:
 
     @property
     def end(self) -> str:
-        """Names of the limits that ended the linear regime; if there are none, `curve` if the prediction uses a linearisation,
-        else empty.
+        """Names of the limits that ended the linear regime; if no limit did, `curve` if the prediction uses a linearisation,
+        otherwise empty.
         """
         return ", ".join(self.ended) or ("curve" if math.isinf(self.allowed) else "")
 
@@ -79,7 +80,7 @@ SHARE_OF_LOAD = Field[float]("share of the load", lambda one: one, ".5f")
 
 
 def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[tuple[MinimumLoad, ...]]:
-    """Predicts the minimum load of each wheel, and measures it in MuJoCo.
+    """Predicts the minimum load of each wheel, and measures this load in MuJoCo.
 
     Args:
         vehicle: vehicle that the controllers control.
@@ -87,7 +88,7 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
         timestep: timestep of the simulation [s].
 
     Returns:
-        For each controller, the minimum loads of all wheels.
+        For each controller, the minimum loads of all wheels, predicted and measured.
     """
     vehicle, wheels = ideal_measurements(vehicle), vehicle.kind.wheels
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
@@ -102,12 +103,13 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
 
 @dataclass(frozen=True)
 class Plate(Road):
-    """A plate under one wheel that moves sinusoidally. The vehicle does not drive, and the ground under other wheels is at rest.
+    """Road that is a sinusoidally moving plate under one wheel. The vehicle does not drive, and the ground under the other
+    wheels is at rest.
 
     Attributes:
-        wheel: name of the wheel's road signal.
+        wheel: name of the road signal under the moved wheel.
         omega: frequency of the plate [rad/s].
-        stroke: amplitude of the plate [m].
+        stroke: amplitude of the plate's motion [m].
     """
 
     wheel: str
@@ -118,37 +120,39 @@ class Plate(Road):
     laid = False
 
     def track_of(self, wheel: Wheel) -> str:
-        """Returns the name of the road signal of a wheel."""
+        """Returns the name of the road signal under a wheel."""
         return wheel.road_velocity
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
-        """Returns 0, because the vehicle does not drive."""
+        """Returns a delay of 0, because the vehicle does not drive."""
         return 0.0
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Times at which the velocity jumps [s]: only the start."""
+        """Times at which the plate's velocity jumps [s]: only the start of the run."""
         return (0.0,)
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height under a wheel [m]. `side` is the road signal of this wheel."""
+        """Returns the height of the ground under a wheel [m]. `side` names the road signal under this wheel."""
         return np.where((t >= 0) & (side == self.wheel), self.stroke * np.sin(self.omega * t), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative of the height [m/s]. `side` is the road signal of the wheel."""
+        """Returns the time derivative of the height of the ground under a wheel [m/s]. `side` names the road signal under the
+        wheel.
+        """
         return np.where((t >= 0) & (side == self.wheel), self.stroke * self.omega * np.cos(self.omega * t), 0.0)
 
     def describe(self) -> dict[str, Any]:
-        """Returns type, wheel, frequency and amplitude of the plate for JSON."""
+        """Returns the type, wheel, frequency and amplitude of the plate for the JSON output."""
         return {"type": "plate", "wheel": self.wheel, "omega": self.omega, "stroke": self.stroke}
 
     def scaled(self, factor: float) -> "Plate":
-        """Returns the plate with its amplitude multiplied by a factor."""
+        """Returns a plate whose amplitude is multiplied by a factor."""
         return replace(self, stroke=factor * self.stroke)
 
 
 def _plate(wheel: str, omega: float, timestep: float) -> PeriodicRoad:
-    """Returns a plate with a frequency near `omega` [rad/s]; the samples that are fitted contain an integer number of its
+    """Returns a plate whose frequency is near `omega` [rad/s], so that the evaluated samples contain an integer number of
     periods.
     """
     _, samples = whole_periods(omega, timestep)
@@ -161,15 +165,16 @@ def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Arra
     """Returns the amplitude of a tyre deflection relative to the amplitude of the plate under the same wheel, for each
     frequency.
 
-    For a tyre with damping, the equivalent deflection is the one at which the tyre stiffness alone would cause the total force.
+    For a tyre with damping, the deflection is replaced by the deflection at which the tyre stiffness alone would cause the
+    total force.
 
     Args:
         vehicle: vehicle that the controller controls.
         controller: controller of this vehicle.
-        wheel: index of the wheel.
+        wheel: index of the wheel on the plate.
         omega: frequencies of the plate [rad/s], shape (F,).
         timestep: timestep of the simulation [s].
-        exponential: function that computes the matrix exponential, either exactly or with the approximation of RK4.
+        exponential: function that computes the matrix exponential, either exactly or as RK4 approximates it.
     """
     response = sampled_frequency_response(vehicle, controller, omega, timestep, exponential)
     outputs = vehicle.linear_model.outputs
@@ -200,10 +205,10 @@ def _load(run: PeriodicRun, wheel: int, omega: float, static: Mapping[str, float
     """Returns the minimum load of a wheel, measured at the end of its MuJoCo run.
 
     Args:
-        run: MuJoCo run on the plate at a frequency near `omega`.
-        wheel: index of the wheel.
-        omega: predicted frequency of the minimum [rad/s].
-        static: deflection of each tyre under the static load [m].
+        run: MuJoCo run with the plate at a frequency near `omega`.
+        wheel: index of the wheel on the plate.
+        omega: frequency at which the minimum load is predicted [rad/s].
+        static: deflection of each tyre under the static load [m], by tyre.
     """
     vehicle, controller, tried, timestep = run.vehicle, run.controller, run.on.omega, run.timestep
     assert controller.linear is True, "minimum loads are those of linear laws"

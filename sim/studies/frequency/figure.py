@@ -1,4 +1,5 @@
-"""Figure of frequency responses, like Fig. 3 of the paper. Lines show linear analysis, and points show MuJoCo.
+"""Figure of the frequency responses of controllers, like Fig. 3 of the paper. Lines show the results of linear analysis, and
+points show those of MuJoCo.
 
 The lines show the continuous loop or, if `[implementation]` has a sample period or a delay, the sampled loop.
 """
@@ -40,14 +41,15 @@ def sweep_figure(
     style: Mapping[str, Style],
     own: Sequence[DescribingFunction] = (),
 ) -> Figure:
-    """Returns the figure of magnitudes over frequency, with a panel for each weighted signal that responds to the road.
+    """Returns the figure of response magnitudes against frequency, with a panel for each weighted signal that responds to the
+    road.
 
     Args:
         vehicle: vehicle whose responses are drawn.
-        sweeps: frequency responses of linear controllers.
+        sweeps: frequency responses of the linear controllers that are drawn.
         timestep: timestep of the simulation [s].
         speed: forward velocity of the vehicle [m/s].
-        style: colour and line style of each controller, by name.
+        style: colour and line style of each controller, by controller name.
         own: describing functions of the nonlinear laws, which the figure shows as points without a line.
     """
     how = vehicle.implementation
@@ -110,9 +112,10 @@ def _lowest_peak(curves: Sequence[Curve], signal: str, unit: str) -> str:
 
 
 def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[Array, Array]:
-    """Returns the frequencies of a drawn line [rad/s], shape (F,), and the magnitudes of all outputs, shape (F, S).
+    """Returns the frequencies of a drawn line [rad/s], shape (F,), and the magnitudes of all output signals at these
+    frequencies, shape (F, S).
 
-    The frequencies are dense near the maxima and minima of the outputs.
+    The frequencies are closely spaced near the maxima and minima of the outputs.
     """
 
     def magnitudes(omega: Array) -> Array:

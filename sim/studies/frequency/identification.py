@@ -1,9 +1,10 @@
 """Measurement of frequency responses and L2 gains in MuJoCo, and comparison with linear analysis.
 
 Start with `measure_responses`. The L2 gain from the disturbance w to the performance output z includes the weights of z. If a
-weight is a filter, the filter is applied to the signal of the run. The signal is assumed to be linear between samples and to
-start from equilibrium. If the road has a filter, w is the input of this filter. The input is known for a sinusoidal road, but
-other roads would require the inverse of the filter, which may not exist.
+weight is a filter, the filter is applied to the signal of the run. Between samples, the signal is assumed to be linear, and at
+the start of the run, the vehicle is assumed to be in equilibrium. If the vehicle file defines a road filter, w is the input of
+this filter. The input w is known for a sinusoidal road, but to find w for other roads would require the inverse of the filter,
+which may not exist.
 """
 
 import math
@@ -33,7 +34,8 @@ from synth.controller.loop_of import loop_of, radius
 
 
 def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
-    """Returns the L2 gain ||z|| / ||w|| of a run that starts from equilibrium; the norms include all times and all wheels.
+    """Returns the L2 gain ||z|| / ||w|| of a run that starts from equilibrium; both norms extend over the whole run and all
+    wheels.
 
     Returns None if the road has a filter, because w is then unknown.
     """
@@ -45,11 +47,11 @@ def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
 
 
 def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
-    """Returns the gain ||z|| / ||w|| over a sinusoidal road, after transients have decayed.
+    """Returns the gain ||z|| / ||w|| of a run over a sinusoidal road, after transients have decayed.
 
     Args:
-        vehicle: vehicle of the run, with the weights of z.
-        response: response over an integer number of periods of the road.
+        vehicle: vehicle of the run, with the weights of the performance output z.
+        response: response of the vehicle over an integer number of periods of the road.
         omega: frequency of the road [rad/s].
     """
     sides, shape = _sides(vehicle, response, periodic=True), 1.0
@@ -64,11 +66,11 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
 
 
 def _sides(vehicle: Vehicle, response: Response, periodic: bool) -> list[Array]:
-    """Returns the output signals, and the sums of signals that z contains, shape (T, p). Forces that are held over several
-    timesteps jump when the controller takes a sample.
+    """Returns the output signals, and the sums of signals that are part of the performance output z, shape (T, p). Forces that
+    the controller holds over several timesteps jump at each sample.
 
-    If forces are held over several timesteps, the list contains two arrays: the signals after the jumps, and those before the
-    jumps.
+    If forces are held over several timesteps, the returned list contains two arrays: signals after the jumps, and signals
+    before the jumps.
     """
     signals, period = _signals(vehicle, response), float(response.time[1] - response.time[0])
     several = steps_per_sample(vehicle.implementation, period) > 1  # between jumps, z changes continuously from step to step
@@ -76,7 +78,9 @@ def _sides(vehicle: Vehicle, response: Response, periodic: bool) -> list[Array]:
 
 
 def _size(sides: Sequence[Array]) -> float:
-    """Returns the norm of z; if the list contains z before and after jumps, the root mean square of both norms."""
+    """Returns the norm of the performance output z; if the list contains z before and after jumps, the root mean square of both
+    norms.
+    """
     return float(np.linalg.norm([np.linalg.norm(z) for z in sides])) / math.sqrt(len(sides))
 
 
@@ -84,7 +88,7 @@ def _before_leaps(vehicle: Vehicle, response: Response, signals: Array, periodic
     """Returns the output signals and sums just before the forces jump at each sample, shape (T, p).
 
     The force before the first sample counts as 0. In a periodic run, the force before the first sample equals the force at the
-    last sample. If the actuators have a lag, forces do not jump, so the signals are returned unchanged.
+    last sample. If the actuators have a lag, forces do not jump, and the function returns the signals unchanged.
     """
     if vehicle.limits.actuator_bandwidth is not None:
         return signals
@@ -94,7 +98,7 @@ def _before_leaps(vehicle: Vehicle, response: Response, signals: Array, periodic
 
 
 def _weighted_outputs(vehicle: Vehicle, signals: Array, period: float) -> Array:
-    """Returns the performance output z, shape (T, p), from the output signals and sums, shape (T, p)."""
+    """Returns the performance output z, shape (T, p), computed from the output signals and sums, shape (T, p)."""
     weighted = [(vehicle.performance.get(name, 0.0), vehicle.filters.get(name)) for name in vehicle.linear_model.outputs]
     weighted += [(one.weight, one.filter) for one in vehicle.sums]
     rows = [
@@ -105,7 +109,7 @@ def _weighted_outputs(vehicle: Vehicle, signals: Array, period: float) -> Array:
 
 
 def _signals(vehicle: Vehicle, response: Response) -> Array:
-    """Returns the output signals of a run, and the sums of signals that z contains, shape (T, p)."""
+    """Returns the output signals of a run, and the sums of signals that are part of the performance output z, shape (T, p)."""
     return vehicle.summed(_columns(response, vehicle.linear_model.outputs))
 
 
@@ -120,7 +124,9 @@ def _road_size(vehicle: Vehicle, response: Response) -> float:
 
 
 def _filter_signal(one: Filter, values: Array, period: float) -> Array:
-    """Returns a filtered signal; the states of the filter start at zero. `period` is the time between samples [s]."""
+    """Filters a signal and returns the result; the states of the filter are zero at the start. `period` is the time between
+    samples [s].
+    """
     law = one.realisation.sampled(period)
     from scipy.signal import dlsim  # imported here because the import takes half a second
 
@@ -135,20 +141,21 @@ LINES = 60  # number of frequencies of the chirp, before equal frequencies are m
 class Lines:
     """Frequency responses of the vehicle with one controller, from the road velocity under the first wheel to all outputs.
 
-    All responses are complex, with a row per frequency and a column per output, shape (F, p).
+    All responses are complex, with a row for each frequency and a column for each output, shape (F, p).
 
     Attributes:
         controller: controller of the measured loop.
         outputs: names of the p output signals.
-        units: units of the signals.
+        units: units of the output signals.
         omega: frequencies at which the responses are measured [rad/s], shape (F,).
-        measured: response measured in MuJoCo.
+        measured: response that was measured in MuJoCo.
         sampled: exact response of the implemented (sampled-data) loop.
-        integrated: response of the implemented loop if RK4 integrates its equations of motion.
+        integrated: response of the implemented loop if its equations of motion are integrated by RK4.
         continuous: exact response of the continuous loop.
-        order: order of convergence of `sampled` to `continuous` as the timestep decreases; NaN if the loop has a delay or a
+        order: order at which `sampled` converges to `continuous` as the timestep decreases; NaN if the loop has a delay or a
             sample period.
-        gain: L2 gain of the run from w to z; None if the road has a filter, see `l2_gain`.
+        gain: L2 gain of the run from the disturbance w to the performance output z; None if the road has a filter, see
+            `l2_gain`.
         ended: names of the limits that ended the linear regime.
     """
 
@@ -165,19 +172,21 @@ class Lines:
     ended: tuple[str, ...]
 
     def error(self, reference: Array) -> Array:
-        """Returns the largest relative difference between `measured` and a reference over all frequencies, shape (p,)."""
+        """Returns the largest relative difference of each output between `measured` and a reference, over all frequencies,
+        shape (p,).
+        """
         return difference(self.measured, reference, self.units).max(axis=0)
 
 
 def difference(response: Array, reference: Array, units: Sequence[str]) -> Array:
     """Returns the relative difference between a response and its reference at each frequency, shape (F, p).
 
-    If symmetry keeps a signal at zero, its difference is relative to the other signals with the same unit, as in
+    If symmetry keeps a signal at zero, its difference is divided by the size of the other signals with the same unit, as in
     `Response.scale`.
 
     Args:
-        response, reference: complex responses, shape (F, p).
-        units: units of the p signals.
+        response, reference: two complex frequency responses, shape (F, p).
+        units: units of the p output signals.
     """
     size = np.abs(reference)
     scale = np.maximum(size, SILENT * loudest_alike(size, units))
@@ -186,18 +195,20 @@ def difference(response: Array, reference: Array, units: Sequence[str]) -> Array
 
 
 def ideal_measurements(vehicle: Vehicle) -> Vehicle:
-    """Returns the vehicle in equilibrium. Noise and quantisation are omitted, because they have no frequency response."""
+    """Returns a copy of the vehicle that is in equilibrium and has exact measurements. Noise and quantisation are removed,
+    because they have no frequency response.
+    """
     return replace(vehicle.starting(), implementation=vehicle.implementation.without_noise)
 
 
 def measure_responses(
     vehicle: Vehicle, controllers: Controllers, amplitude: Length, timestep: Time, speed: PositiveSpeed
 ) -> list[Lines]:
-    """Measures the frequency responses of controllers in MuJoCo, from the last period of a run over a road that repeats a
+    """Measures the frequency responses of controllers in MuJoCo, from the last period of a run over a road with a periodic
     chirp.
 
     Args:
-        vehicle: vehicle; noise and quantisation of its `[implementation]` are omitted.
+        vehicle: vehicle that is measured; noise and quantisation in its `[implementation]` section are omitted.
         controllers: linear controllers with stable loops.
         amplitude: largest height of the road [m].
         timestep: timestep of the simulation [s].
@@ -207,7 +218,8 @@ def measure_responses(
         For each controller, the measured and the predicted frequency responses.
 
     Raises:
-        InputError: the timestep is too large for the highest frequency, the amplitude is not allowed, or a loop is unstable.
+        InputError: the timestep is too large for the highest frequency, the amplitude is not allowed, or the loop of a
+            controller is unstable.
 
     Example:
         >>> from models import read_vehicle
@@ -247,7 +259,7 @@ def check(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float,
     """Checks that frequency responses can be measured; arguments as in `measure_responses`.
 
     Raises:
-        InputError: the timestep or the amplitude is not allowed, or a loop is unstable.
+        InputError: the timestep or the amplitude is not allowed, or the loop of a controller is unstable.
     """
     check_fits(vehicle, *controllers)
     sample_times(vehicle, 1.0, timestep)

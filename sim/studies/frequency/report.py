@@ -123,7 +123,9 @@ LAWS: tuple[Field[DescribingFunction], ...] = (
 
 
 def summarize(sweeps: Sequence[Sweep], own: Sequence[DescribingFunction]) -> Document:
-    """Returns the document with a row for each controller: norms, the largest errors, and the smallest tyre load."""
+    """Returns the document with a row for each controller: norms, the largest differences from linear analysis, and the
+    smallest tyre load.
+    """
     text = (
         "Norm, discrete: of the sampled loop, on roads that are constant during each timestep. Share: gain for the worst "
         "sinusoid in MuJoCo. Invariants: responses that no suspension changes. Least load: the smallest tyre load on a plate "
@@ -143,13 +145,13 @@ def describe(
     amplitude: float,
     timestep: float,
 ) -> Document:
-    """Returns the document about frequency responses and gains.
+    """Returns the document about the frequency responses and gains of all controllers.
 
     Args:
         vehicle: vehicle whose responses are described.
         lines: frequency responses of the linear controllers.
-        sweeps: sweeps of the same controllers; empty if only frequency responses were measured.
-        own: describing functions of the nonlinear laws.
+        sweeps: sweeps of the linear controllers; empty if only frequency responses were measured.
+        own: describing functions of the nonlinear laws, if there are any.
         amplitude: largest height of the roads [m].
         timestep: timestep of the simulation [s].
     """
@@ -171,7 +173,9 @@ def describe(
 
 
 def _claims(lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> Iterator[Statement]:
-    """Yields statements about the agreement with linear analysis: one for all controllers that agree, and one per failure."""
+    """Yields statements about the agreement with linear analysis: one for all controllers that agree, and one for each failed
+    check.
+    """
     of = {one.controller.name: one for one in sweeps}
     failed = {name: failures(one) for name, one in of.items() if not one.ended}
     holding: dict[str, list[Lines]] = {}
@@ -211,7 +215,7 @@ def _largest(one: Sweep | None) -> str:
 
 
 def _method(vehicle: Vehicle, lines: Sequence[Lines], amplitude: float, timestep: float) -> Iterator[str]:
-    """Yields the notes that are always printed: how the responses were measured, and what they are compared with."""
+    """Yields the notes that are always printed: how the responses were measured, and with which predictions they are compared."""
     how, limits = vehicle.implementation, Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
     lag, noise = limits.phrases(()), how.noise_text
     without = f", without {noise}, which {'have' if ' and ' in noise else 'has'} no frequency response" if noise else ""
@@ -229,7 +233,7 @@ def _method(vehicle: Vehicle, lines: Sequence[Lines], amplitude: float, timestep
 
 
 def _about(vehicle: Vehicle, sweeps: Sequence[Sweep], timestep: float) -> Iterator[str]:
-    """Yields the notes about norms and gains."""
+    """Yields the notes about H-infinity norms and measured gains."""
     if not sweeps:
         return
     held = "The discrete-time norm is the norm of the sampled loop on roads that are constant during each timestep, as in MuJoCo."
@@ -256,7 +260,7 @@ def _details(sweeps: Sequence[Sweep]) -> Iterator[Table]:
 
 
 def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
-    """Yields statements about a nonlinear law: its largest gain, and the runs that were not measured."""
+    """Yields statements about a nonlinear law: its largest gain, and the runs in which nothing was measured."""
     name, count, wild = as_name(one.controller.name), len(one.omega), np.isfinite(one.diverged)
     yield from (Statement(f"{name}: {text}.", "fails") for text in describing_failures(one))
     text = f"Linear analysis does not apply to {name}, {one.controller.kind}. Instead, {count} sinusoidal roads were simulated."

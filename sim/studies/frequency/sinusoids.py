@@ -1,8 +1,8 @@
-"""Runs over periodic roads: how long they last, and how an integer number of periods at their end is evaluated.
+"""Runs over periodic roads: their duration, and the evaluation of an integer number of periods at the end of each run.
 
 A *line* is one of the frequencies of the road. A run starts from equilibrium, so the response begins with a transient (free
-motion), which takes a minute to decay for a passive car. The poles of the loop determine the shape of the free motion; only the
-size of the free motion is unknown. A least-squares fit of the last periods therefore contains a sine and a cosine at each line,
+motion), which takes a minute to decay for a passive car. The poles of the loop determine the shapes of the free motion, so that
+only the amplitudes are unknown. A least-squares fit of the last periods therefore contains a sine and a cosine for each line,
 and the decaying shapes of the free motion. The fit cannot hide a wrong frequency response, because no decaying motion resembles
 a line over a whole period.
 """
@@ -48,14 +48,14 @@ FINEST = 2000
 
 @dataclass(frozen=True, eq=False)
 class PeriodicRoad:
-    """A periodic road, and the method by which the end of a run over this road is evaluated.
+    """A periodic road, and the method that evaluates the end of a run over this road.
 
     Attributes:
         road: periodic road over which the run drives.
         omega: frequencies of the road [rad/s], shape (F,).
         samples: number of samples that are evaluated at the end of the run; they contain an integer number of periods.
-        fitted: True to fit lines and free motion to these samples; False to use the signals without a fit, after free motion
-            has decayed.
+        fitted: True to fit lines and free motion to the evaluated samples; False to use the signals without a fit, after free
+            motion has decayed.
     """
 
     road: Road
@@ -70,8 +70,8 @@ class PeriodicRun:
 
     Attributes:
         vehicle, controller: vehicle and controller of the run.
-        on: periodic road of the run, and the method of evaluation.
-        response: signals of the run, shape (T, S).
+        on: periodic road of the run, with the method of evaluation.
+        response: signals of the run, one column for each of S signals, shape (T, S).
     """
 
     vehicle: Vehicle
@@ -90,7 +90,9 @@ class PeriodicRun:
         return self.controller, loop_of(self.vehicle, self.controller, self.timestep)
 
     def last_periods(self) -> Response:
-        """Returns the evaluated periods at the end of the run, without slow free motion. The controller must be linear."""
+        """Returns the evaluated periods at the end of the run, from which slow free motion is subtracted. The controller must
+        be linear.
+        """
         _, loop = self._loop
         _, slow = settling_of(loop, LEFT_IN_SIGNALS)
         told = self.response.samples(slice(-_read(loop, slow, self.on.samples), None))
@@ -124,13 +126,13 @@ class PeriodicRun:
 def drive_periodic(
     vehicle: Vehicle, controllers: Sequence[AnyController], roads: Sequence[PeriodicRoad], timestep: float
 ) -> Iterator[PeriodicRun]:
-    """Yields the MuJoCo runs of N controllers, each over its own periodic road. The samples at the end of each run contain an
-    integer number of periods of its road.
+    """Yields the MuJoCo runs of N controllers, each over the periodic road of its controller. The evaluated samples at the end
+    of each run contain an integer number of periods of the run's road.
 
     Args:
-        vehicle: vehicle in equilibrium, without noise and quantisation.
+        vehicle: vehicle in equilibrium, without noise and quantisation of the measurements.
         controllers: N controllers; the loops of linear controllers must be stable.
-        roads: periodic roads of the N controllers.
+        roads: periodic roads, one for each of the N controllers.
         timestep: timestep of the simulation [s].
 
     Raises:
@@ -144,8 +146,8 @@ def drive_periodic(
 
 
 def responses(vehicle: Vehicle, controllers: Sequence[AnyController], roads: Sequence[Road], time: Array) -> Iterator[Response]:
-    """Yields the MuJoCo responses of controllers, each over its own road. The runs are divided into batches that fit into
-    memory.
+    """Yields the MuJoCo responses of controllers, each over the road of its controller. The runs are divided into batches that
+    fit into memory.
     """
     at_once = max(1, int(ENTRIES / (len(time) * len(vehicle.kind.signals))))
     for first in range(0, len(roads), at_once):
@@ -155,15 +157,15 @@ def responses(vehicle: Vehicle, controllers: Sequence[AnyController], roads: Seq
 
 
 def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, timestep: float) -> int:
-    """Returns the number of samples of a run: the evaluated samples, and the samples before them in which free motion decays.
+    """Returns the number of samples of a run: the evaluated samples, and the earlier samples in which free motion decays.
 
-    - If lines are fitted, the remaining free motion is fitted, too. The number of samples before the evaluated samples is then
-      equal to that of the evaluated samples.
-    - If the controller's sample period is longer than the timestep, there are additional lines, which resemble free motion.
-      Free motion must therefore decay before the evaluated samples, except slow motion, which is subtracted. The same is true
-      if the signals are used without a fit.
-    - The free motion of a nonlinear law is unknown. The number of samples before the evaluated samples is then twice that of
-      the evaluated samples. The second half of these preceding samples shows whether the run has settled.
+    - If lines are fitted, free motion that has not yet decayed is fitted, too. The evaluated samples are then preceded by an
+      equal number of samples.
+    - If the controller's sample period is longer than the timestep, the signals contain additional lines, which resemble free
+      motion. Free motion must therefore decay before the evaluated samples begin, except slow motion, which is subtracted.
+      Free motion must also decay if the signals are used without a fit.
+    - For a nonlinear law, the shape of the free motion is unknown. The evaluated samples are therefore preceded by twice as
+      many samples. The second half of these preceding samples shows whether the run has settled.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
     if controller.linear is not True:
@@ -178,25 +180,27 @@ def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, times
 
 
 def _read(loop: Loop, slow: Array, samples: int) -> int:
-    """Returns the number of samples that are evaluated if the signals are used without a fit; slow modes require more samples."""
+    """Returns the number of samples that are evaluated if the signals are used without a fit; slow modes of the loop require
+    more samples.
+    """
     return max(samples, math.ceil(TOLD_APART / loop.period) * len(loop.by_step)) if len(slow) else samples
 
 
 def chirp_lines(vehicle: Vehicle, timestep: float, count: int) -> tuple[Array, int]:
-    """Returns the frequencies of a chirp and the number of samples in its period.
+    """Returns the frequencies of a chirp and the number of samples in one period of the chirp.
 
-    The frequencies are evenly spaced on a logarithmic scale from `LOWEST` to `HIGHEST`. Each frequency is a multiple of the
-    lowest one. The period contains an integer number of the controller's sample periods, so aliases (images) of the lines do
-    not disturb the fit.
+    The frequencies are evenly spaced on a logarithmic scale from `LOWEST` to `HIGHEST`. Each frequency is an integer multiple
+    of the lowest frequency. The period contains an integer number of the controller's sample periods, so aliases (images) of
+    the lines do not disturb the fit.
 
     Args:
         vehicle: vehicle with the sample period of the controller.
         timestep: timestep of the simulation [s].
-        count: number of frequencies, before equal frequencies are merged and frequencies too high for the sample period are
+        count: number of frequencies, before duplicates are merged and frequencies that are too high for the sample period are
             omitted.
 
     Returns:
-        Frequencies [rad/s], shape (F,), and the number of samples in one period.
+        Frequencies of the chirp [rad/s], shape (F,), and the number of samples in one period.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
     period = round(1 / LOWEST / timestep / steps) * steps
@@ -205,13 +209,13 @@ def chirp_lines(vehicle: Vehicle, timestep: float, count: int) -> tuple[Array, i
 
 
 def whole_periods(omega: float, timestep: float, finest: int = FINEST) -> tuple[int, int]:
-    """Returns a number of periods and a number of samples; this many periods in this many samples have a frequency near
-    `omega`.
+    """Returns a number of periods, and the number of samples over which these periods extend exactly, so that the frequency is
+    near `omega`.
 
     Args:
         omega: requested frequency [rad/s].
         timestep: timestep of the simulation [s].
-        finest: smallest total number of samples.
+        finest: smallest allowed total number of samples.
     """
     periods = math.ceil(finest * timestep * omega / (2 * np.pi))
     return periods, round(periods * 2 * np.pi / (omega * timestep))
@@ -221,9 +225,9 @@ def settled_sinusoid(periods: int, count: int, height: float, timestep: float, s
     """Returns a sinusoidal road for which the signals at the end of a run are used without a fit.
 
     Args:
-        periods: number of periods at the end of the run.
-        count: total number of samples in these periods.
-        height: height from trough to crest [m].
+        periods: number of periods that are evaluated at the end of the run.
+        count: total number of samples in the evaluated periods.
+        height: height of the road from trough to crest [m].
         timestep: timestep of the simulation [s].
         speed: forward velocity [m/s].
     """
@@ -250,7 +254,7 @@ def settling_of(loop: Loop, left: float) -> tuple[float, Array]:
 
     Args:
         loop: loop of the vehicle that drives over the road.
-        left: size of the free motion at the end of the settling time, relative to its initial size.
+        left: largest size of the free motion at the end of the settling time, relative to its initial size.
     """
     poles = np.linalg.eigvals(loop.closed_loop.A)
     slow = poles[np.abs(poles) > left ** (loop.period / PATIENCE)]
@@ -258,7 +262,7 @@ def settling_of(loop: Loop, left: float) -> tuple[float, Array]:
 
 
 def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> Array:
-    """Returns the shapes of the free motion over the evaluated samples, shape (samples, k).
+    """Returns the shapes of the free motion during the evaluated samples, shape (samples, k), a column for each of k shapes.
 
     Modes that have already decayed when the evaluated samples begin are omitted.
     """
@@ -273,15 +277,16 @@ def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samp
 
 
 def _without_slow_motion(loop: Loop, response: Response, poles: Array, turns: Array) -> Response:
-    """Returns the end of a run over a periodic road, minus its mean and its slowest modes, which are fitted by least squares.
+    """Returns the signals at the end of a run over a periodic road, minus their mean and slowest modes, which are fitted by
+    least squares.
 
-    From one sample to the next, the phase of each line advances by an angle, and each mode is multiplied by its pole. Over many
-    samples, a decaying mode and a line differ clearly.
+    From one sample to the next, the phase of each line advances by a constant angle, and each mode is multiplied by its pole.
+    A fit over many samples can therefore separate a decaying mode from a line.
 
     Args:
         loop: loop of the vehicle that drives over the road.
-        response: end of the run, long enough to separate modes and lines.
-        poles: discrete-time poles of the slow modes, for one sample period.
+        response: response at the end of the run, long enough to separate modes from lines.
+        poles: discrete-time poles of the slow modes, for one sample period of the controller.
         turns: phase advance of each line per sample period [rad], shape (L,).
     """
     if not len(poles) or not np.all(np.isfinite(response.values)):

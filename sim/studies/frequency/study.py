@@ -1,4 +1,4 @@
-"""Studies of frequency responses: the command `sweep`, and sections of the report."""
+"""Studies of frequency responses: the command `sweep`, and two sections of the report."""
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Results of the study.
+    """Results of the study of frequency responses and gains.
 
     Attributes:
         lines: frequency responses of the linear controllers.
@@ -41,7 +41,7 @@ class Responses:
     own: Sequence[DescribingFunction]
 
     def each(self, names: Sequence[str]) -> list[Sweep | DescribingFunction]:
-        """Returns the results of all controllers in the order of the controllers' names."""
+        """Returns the sweeps and the describing functions of all controllers, in the order of the controllers' names."""
         return sorted([*self.sweeps, *self.own], key=lambda one: names.index(one.controller.name))
 
 
@@ -98,7 +98,7 @@ class SweepStudy(SweepCommand):
         return sweep_figure(request.vehicle, result.lines, options.timestep, options.speed, known, result.own)
 
     def runs(self, request: StudyRequest, result: Responses) -> dict[str, Run]:
-        """Returns the runs of all controllers over their worst sinusoid, starting from equilibrium."""
+        """Returns the run of each controller over the worst sinusoidal road, starting from equilibrium."""
         vehicle, options, runs = ideal_measurements(request.vehicle), request.options, {}
         time = sample_times(vehicle, DURATION, options.timestep)
         for one in result.each(request.names):
@@ -126,7 +126,7 @@ class SweepStudy(SweepCommand):
 
 
 class WorkshopStudy(Study[None]):
-    """Study that adds the section about the EUSAMA test to a report. `SweepStudy` computes its results."""
+    """Study that adds the section about the EUSAMA test to a report. The results of this study are computed by `SweepStudy`."""
 
     def sections(self, scope: "Subject", results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         return [workshop(scope.vehicle, one.sweeps) for one in results.get("sweep", {}).values() if one.sweeps]

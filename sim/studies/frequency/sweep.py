@@ -1,4 +1,4 @@
-"""Results of a sweep for linear controllers, their comparison with linear analysis, and the JSON object."""
+"""Results of a sweep for linear controllers, comparison of these results with linear analysis, and the JSON object."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -52,17 +52,17 @@ class Sweep:
 
     @property
     def controller(self) -> Controller:
-        """Controller of the sweep."""
+        """Controller to which the sweep belongs."""
         return self.lines.controller
 
     @property
     def is_bounded(self) -> bool:
-        """False if the loop is stable but has no finite norm, which is possible only for laws with `study = true`."""
+        """False if the loop is stable but has no finite H-infinity norm, which is possible only for laws with `study = true`."""
         return not self.controller.certificate.stable or math.isfinite(self.controller.certificate.norm.value)
 
     @property
     def worst_omega(self) -> float:
-        """Frequency of the simulated worst sinusoid [rad/s]."""
+        """Frequency of the worst sinusoidal road, as simulated [rad/s]."""
         return self.extremes.tried
 
     @property
@@ -72,7 +72,7 @@ class Sweep:
 
     @property
     def gains(self) -> dict[str, float]:
-        """L2 gains from w to z, by name of the road."""
+        """L2 gains from the disturbance w to the performance output z, by name of the road."""
         return {**self.extremes.gains, **({} if self.lines.gain is None else {"chirp": self.lines.gain})}
 
 
@@ -114,20 +114,22 @@ def sweep(
 
 
 def _reads_road(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns True if a measurement contains the road velocity directly.
+    """Returns True if any measurement of the controller depends directly on the road velocity.
 
-    The sampled norm averages such a measurement over a sample period, but MuJoCo averages over a timestep, so the results
-    differ.
+    The sampled norm averages a measurement of the road velocity over a sample period, whereas MuJoCo averages the measurement
+    over a timestep, so the results differ.
     """
     model = vehicle.linear_model
     return bool(np.any(model.Dw[[model.outputs.index(name) for name in controller.measured]]))
 
 
 def _off(lines: Lines) -> tuple[float, float, str, bool]:
-    """Returns the measured response whose difference from the sampled response is largest relative to the allowed difference.
+    """Returns the measured response whose difference from the sampled-data prediction is largest relative to the allowed
+    difference.
 
     Returns:
-        Difference, allowed difference, name of the signal, and True if the timestep is too large for this frequency.
+        Difference, allowed difference, name of the signal, and True if the timestep is too large for the frequency of this
+        response.
     """
     off = difference(lines.measured, lines.sampled, lines.units)
     integrator = SLACK * difference(lines.integrated, lines.sampled, lines.units)
@@ -137,7 +139,7 @@ def _off(lines: Lines) -> tuple[float, float, str, bool]:
 
 
 def failures(one: Sweep | DescribingFunction) -> list[str]:
-    """Returns a text for each check that a sweep fails. For a nonlinear law, the only check is that something was measured."""
+    """Returns a text for each check that a sweep fails. For a nonlinear law, the only check is that not every run diverged."""
     if isinstance(one, DescribingFunction):
         return describing_failures(one)
     code = one.controller.code
@@ -149,7 +151,7 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
 def _failures(one: Sweep, rounds: bool) -> list[str]:
     """Returns a text for each check that the sweep of a linear law fails.
 
-    `rounds` is True for exported code in fixed-point arithmetic.
+    `rounds` is True if the controller is exported code in fixed-point arithmetic.
     """
     failed, gains, norm = [], one.gains, one.extremes.worst.gain
     # A road with a smaller amplitude causes smaller rotations, so the response over this road determines the result.
@@ -184,9 +186,9 @@ def _gain_failure(road: str, gains: Mapping[str, float], what: str, value: float
     Args:
         road: name of the road whose gain is checked.
         gains: measured gain over each road, by name of the road.
-        what: name of the reference value, for the text.
-        value: reference value; the text contains it.
-        low, high: smallest and largest allowed gain.
+        what: name of the reference value, which the text contains.
+        value: reference value, which the text contains.
+        low, high: smallest and largest allowed gain over the road.
     """
     if low <= gains[road] <= high:
         return []
@@ -199,7 +201,7 @@ def holds(one: Sweep | DescribingFunction) -> bool:
 
 
 def _signals(one: Sweep) -> dict[str, Any]:
-    """Returns the responses of each output signal and their largest errors for JSON."""
+    """Returns the responses of each output signal and their largest errors for the JSON output."""
     lines = one.lines
     error = {"sampled": lines.error(lines.sampled), "continuous": lines.error(lines.continuous)}
     return {
@@ -231,5 +233,5 @@ RECORD = Record[Sweep](
 
 
 def record(one: Sweep | DescribingFunction) -> dict[str, Any]:
-    """Returns a sweep or a describing function as a JSON object in SI units. Complex numbers are [real, imaginary]."""
+    """Returns a sweep or a describing function as a JSON object in SI units. Complex numbers are written as [real, imaginary]."""
     return describing_function.RECORD(one) if isinstance(one, DescribingFunction) else RECORD(one)

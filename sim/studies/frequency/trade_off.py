@@ -1,4 +1,6 @@
-"""The report section about a trade-off: the front of designs, the proved lower bound, and the gains of some designs in MuJoCo."""
+"""The report section about a trade-off: the front of designs, the proved lower bound, and the measured gains of some designs in
+MuJoCo.
+"""
 
 import math
 from collections.abc import Callable, Mapping
@@ -64,13 +66,14 @@ SHARE = Field[float]("share", lambda share: share, ".2f", 100)
 
 
 def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: float = TURN) -> float:
-    """Returns the gain of a design in MuJoCo on the sinusoid at which its norm is reached; NaN if this gain cannot be measured.
+    """Returns the gain of a design in MuJoCo on the sinusoidal road at which its norm is reached; NaN if this gain cannot be
+    measured.
 
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
-        trade_off: computed front of designs.
+        trade_off: front of designs for two objectives, already computed.
         i: index of the design on the front.
-        axis: objective on one axis of the front, which defines the norm.
+        axis: objective on one axis of the front; this objective defines the norm.
         turn: largest allowed phase advance of the sinusoid in one timestep [rad].
     """
     controller, k = trade_off.points[i].controller, trade_off.axes.index(axis)
@@ -93,13 +96,13 @@ def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: flo
 
 
 def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float) -> float:
-    """Returns a frequency [rad/s], not too low for a run in MuJoCo, at which the norm is (nearly) reached; NaN if there is no
-    such frequency.
+    """Returns a frequency [rad/s] that is high enough for a MuJoCo run and at which the norm is (nearly) reached; NaN if none
+    exists.
 
     Args:
-        vehicle: vehicle whose outputs are those of the norm.
+        vehicle: vehicle whose outputs define the norm.
         controller: controller that closes the loop.
-        norm: value of the H-infinity norm.
+        norm: value of the loop's H-infinity norm.
         at: frequency at which the loop reaches the norm [rad/s]; may be 0.
     """
     if at >= SLOW[0]:
@@ -111,20 +114,20 @@ def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float)
 
 
 class FrontStudy(Study[Document]):
-    """Study that adds a trade-off between objectives to a report, with MuJoCo runs of some designs."""
+    """Study that adds a trade-off between two objectives to a report, and simulates some of the designs in MuJoCo."""
 
     seconds = 30.0
 
     def check_page(self, scope: Subject) -> None:
-        """Checks the axes of the front, and that its designs can be based on the default controller."""
+        """Checks the two axes of the front, and that the default controller can be the basis of its designs."""
         if scope.front is not None:
             axes_of(scope.vehicle, scope.front)
             entry_of(scope.vehicle, usual(scope.vehicle))
 
     def requests(self, scope: Subject) -> Mapping[str, Subject]:
-        """Returns the request for a trade-off, if its axes are given."""
+        """Returns the request for a trade-off, if the axes of the front are set."""
         return {} if scope.front is None else {"": scope}
 
     def run(self, request: Subject, progress: Progress) -> Document:
-        """Returns the report section about the trade-off."""
+        """Returns the report section about the trade-off between two objectives."""
         return front_section(request, progress)

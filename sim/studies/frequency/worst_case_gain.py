@@ -52,11 +52,11 @@ class MeasuredInvariant:
 
     Attributes:
         name: name of the quantity whose transmissibility is measured.
-        omega: frequency of the invariant [rad/s].
-        expected: magnitude that the transmissibility must have.
-        measured: magnitude in MuJoCo.
-        allowed: allowed relative difference, twice (omega h)^2 / 24. The error (omega h)^2 / 24 arises because MuJoCo holds the
-            road over a timestep h.
+        omega: frequency at which the transmissibility is invariant [rad/s].
+        expected: magnitude that the transmissibility must have at `omega`.
+        measured: magnitude of the transmissibility in MuJoCo.
+        allowed: allowed relative difference between `expected` and `measured`, which is twice (omega h)^2 / 24 for the timestep
+            h. The error (omega h)^2 / 24 arises because MuJoCo keeps the road constant during each timestep h.
     """
 
     name: str
@@ -67,25 +67,27 @@ class MeasuredInvariant:
 
     @property
     def error(self) -> float:
-        """Relative difference between measured and expected magnitude."""
+        """Relative difference between the measured and the expected magnitude of the transmissibility."""
         return abs(self.measured / self.expected - 1)
 
 
 @dataclass(frozen=True)
 class Extremes:
-    """Largest gains of one controller.
+    """Largest L2 gains of one controller.
 
     Attributes:
-        worst: discrete-time norm of the sampled loop, and frequency of its worst sinusoid. The road is constant during each
-            timestep, as in MuJoCo; `synth.analysis.sampled_norm` does not assume this.
-        integrated: discrete-time norm of the loop if RK4 integrates its equations of motion.
-        tried: frequency of the simulated sinusoid, which is near the worst one [rad/s].
-        predicted: gain at `tried` with all harmonics, for the timestep and for half the timestep; empty if `lti` is True.
-        gains: L2 gains from w to z measured in MuJoCo, by road; only for the worst sinusoid if the road has a filter.
+        worst: discrete-time norm of the sampled loop, and the frequency of the sinusoidal road that reaches this norm. In
+            contrast to `synth.analysis.sampled_norm`, the road is assumed to be constant during each timestep, as in MuJoCo.
+        integrated: discrete-time norm of the loop if its equations of motion are integrated by RK4.
+        tried: frequency of the simulated sinusoid [rad/s], which is near the worst frequency.
+        predicted: gain at `tried` including all harmonics, once for the timestep and once for half the timestep; empty if `lti`
+            is True.
+        gains: L2 gains from the disturbance w to the performance output z, by road; only for the worst sinusoid if the road has
+            a filter.
         invariants: transmissibilities of this vehicle that no suspension force can change.
         ended: names of the limits that ended the linear regime in any of the runs.
-        lti: True if the sampled loop is time-invariant, because the controller samples at every timestep. If False, `worst`
-            omits the harmonics, so a gain can be larger than this norm.
+        lti: True if the sampled loop is time-invariant, because the controller samples at every timestep. If `lti` is False,
+            `worst` omits the harmonics, so a gain can be larger than `worst`.
     """
 
     worst: WorstSinusoid
@@ -101,7 +103,8 @@ class Extremes:
 def extremes(
     vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float, speed: float
 ) -> list[Extremes]:
-    """Simulates each controller over a bump, a random road, a road with the invariants' frequencies, and its worst sinusoid.
+    """Simulates each controller over a bump, a random road, a road with the frequencies of the invariants, and the worst
+    sinusoidal road.
 
     Arguments and errors are those of `sim.studies.frequency.identification.measure_responses`.
     """
@@ -142,8 +145,8 @@ def extremes(
 
 
 def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -> PeriodicRoad | None:
-    """Returns a road with the frequencies of the vehicle's invariants, for evaluation over the second half of a run; None
-    without invariants.
+    """Returns a road with the frequencies of the vehicle's invariants, which is evaluated over the second half of a run; None
+    if the vehicle has no invariants.
     """
     omega = [invariant.omega(vehicle.parameters) for invariant in vehicle.kind.invariants_of(vehicle.parameters)]
     if not omega:
@@ -153,8 +156,8 @@ def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -
 
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
-    """Returns numbers of periods and samples as `whole_periods` does, for a frequency at which the gain is close to a narrow
-    peak.
+    """Returns numbers of periods and samples, as `whole_periods` does, for a frequency at which the gain nearly reaches a
+    narrow peak.
     """
     # The evaluated periods must also contain an integer number of controller samples
     steps = steps_per_sample(vehicle.implementation, timestep)
@@ -183,7 +186,8 @@ def _measure_invariants(run: PeriodicRun) -> tuple[MeasuredInvariant, ...]:
 
 
 def _sinusoid_gain(vehicle: Vehicle, controller: Controller, omega: float, h: float, speed: float) -> float:
-    """Returns the gain from w to z over a sinusoidal road, including the harmonics due to held forces.
+    """Returns the gain from the disturbance w to the performance output z over a sinusoidal road, with the harmonics that held
+    forces cause.
 
     Args:
         vehicle: vehicle that the controller controls.
@@ -203,12 +207,13 @@ def _sinusoid_gain(vehicle: Vehicle, controller: Controller, omega: float, h: fl
 
 
 def _lines(vehicle: Vehicle, angle: float, signals: Array, h: float) -> Array:
-    """Returns the complex Fourier coefficients of z, shape (N p, L, r). The sum of their squares is the mean square of z.
+    """Returns the complex Fourier coefficients of the performance output z, shape (N p, L, r). The sum of the squared
+    magnitudes of the coefficients is the mean square of z.
 
     Args:
-        vehicle: the vehicle, with the weights of z.
-        angle: phase advance of the road per sample period [rad].
-        signals: signals at the N steps of a sample period, shape (N, L, r, p).
+        vehicle: the vehicle, with the weights of the performance output z.
+        angle: phase advance of the road per sample period of the controller [rad].
+        signals: signals at the N timesteps of a sample period, shape (N, L, r, p).
         h: timestep [s].
     """
     steps = len(signals)

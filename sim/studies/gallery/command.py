@@ -1,4 +1,4 @@
-"""The study of published results: compares each published number with the number that Roadproof computes."""
+"""The study of published results, which compares each published number with the number that Roadproof computes."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any

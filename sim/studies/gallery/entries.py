@@ -1,4 +1,6 @@
-"""Entries of the gallery. An entry contains the published numbers of one source, from `models/gallery/NAME/entry.toml`."""
+"""Entries of the gallery of published numbers. An entry contains the published numbers of one source, which are read from
+`models/gallery/NAME/entry.toml`.
+"""
 
 import math
 from collections.abc import Mapping
@@ -46,8 +48,8 @@ SOURCES = (
 
 
 def _road(value: Any, context: Mapping[str, Any]) -> Road:
-    """Returns the road that a TOML table defines. Without the key `type`, a table with `edge` is a step, and any other table is
-    a bump.
+    """Returns the road that is defined by a TOML table. Without the key `type`, a table with `edge` is a step, and any other
+    table is a bump.
     """
     if not isinstance(value, Mapping):
         raise InputError(f"{HERE} = {short_repr(value)} is not a table; give a table, as in {{ height = 0.05, length = 2.5 }}")
@@ -56,7 +58,7 @@ def _road(value: Any, context: Mapping[str, Any]) -> Road:
 
 @dataclass(frozen=True)
 class PrintedNumber(Section):
-    """A published number, with the vehicle, controller, signal and run for which it was published."""
+    """A published number, with the vehicle, controller, signal and run to which it refers."""
 
     what: Annotated[str, Text("type of the number, a key of `sim.studies.gallery.numbers.KINDS`")]
     value: Annotated[float, SI("", "value as published, in `unit`", -LARGEST)]
@@ -84,7 +86,7 @@ class PrintedNumber(Section):
 
     @property
     def text(self) -> str:
-        """Short name of the number, such as `peak sprung_acceleration`."""
+        """Short name of the published number, such as `peak sprung_acceleration`."""
         name = self.symbol or f"{self.what} {self.signal or self.controller}"
         where = f"[{', '.join(map(str, self.at))}]" if self.at else ""
         vehicle = "" if self.symbol or self.vehicle == CAR else f", {self.vehicle.removesuffix('.toml')}"
@@ -111,7 +113,7 @@ NUMBERS, REASONS = (Subsection("", (one,), "a table in double brackets") for one
 
 @dataclass(frozen=True)
 class Entry(Section):
-    """An entry of the gallery: a source and the numbers that it published."""
+    """An entry of the gallery: a source and the numbers that were published in this source."""
 
     name: Annotated[str, Text("name of its folder")]
     title: Annotated[str, Text("title of the publication")]
@@ -124,17 +126,17 @@ class Entry(Section):
 
     @property
     def folder(self) -> Path:
-        """Folder with the vehicle files of the entry."""
+        """Folder that contains the vehicle files of the entry."""
         return FOLDER / self.name
 
 
 def names() -> list[str]:
-    """Returns the names of all entries. The entry of the paper is the first."""
+    """Returns the names of all gallery entries. The entry about the paper is the first."""
     return [PAPER, *sorted(path.parent.name for path in FOLDER.glob("*/entry.toml"))]
 
 
 def read_entry(name: str) -> Entry:
-    """Returns the entry with this name.
+    """Returns the gallery entry with this name.
 
     Raises:
         InputError: the entry does not exist, or its file has an unknown key.
@@ -148,7 +150,7 @@ def read_entry(name: str) -> Entry:
 
 
 def _paper() -> Entry:
-    """Returns the entry of the paper, whose numbers are in `synth.vehicle.paper`."""
+    """Returns the entry about the paper, whose numbers are in `synth.vehicle.paper`."""
     printed = tuple(
         PrintedNumber(
             what="paper",

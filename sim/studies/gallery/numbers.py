@@ -1,4 +1,4 @@
-"""Computation of the numbers in the gallery by linear analysis and, if the number can be measured in a run, in MuJoCo."""
+"""Computation of the gallery's numbers by linear analysis and, for each number that a run can measure, in MuJoCo."""
 
 import math
 from collections.abc import Callable
@@ -33,13 +33,14 @@ REAL = 1e-6  # a zero of a transfer function counts as imaginary if its real par
 
 @dataclass(frozen=True)
 class ComparedNumber:
-    """A published number, and the same number computed by Roadproof. All values have the unit of the source.
+    """A published number, and the same number computed by Roadproof. All values of the number have the unit that the source
+    uses.
 
     Attributes:
-        printed: number as the source published it.
-        exact: value that linear analysis gives.
-        mujoco: value that is measured in a MuJoCo run; None if the number cannot be measured in a run.
-        grid: value from linear analysis at the sample times of the source; None if these times are unknown.
+        printed: number as it was published in the source.
+        exact: value of the number according to linear analysis.
+        mujoco: value of the number, measured in a MuJoCo run; None if the number cannot be measured in a run.
+        grid: value of the number at the sample times of the source, from linear analysis; None if these times are unknown.
     """
 
     printed: PrintedNumber
@@ -49,14 +50,14 @@ class ComparedNumber:
 
     @property
     def verdict(self) -> str:
-        """Verdict on the comparison of published and computed number.
+        """Verdict on the comparison of a published number with the computed number.
 
         - `REPRODUCED`: the exact value rounds to all published digits.
-        - `ON_ITS_GRID`: the value at the source's sample times rounds to all published digits, and no reason for a difference is
-          given.
+        - `ON_ITS_GRID`: the value at the source's sample times rounds to all published digits, and the entry gives no reason
+          for a difference.
         - `DIFFERS`: the entry gives a reason for the difference, and the difference is within the limit that belongs to this
           reason.
-        - `WRONG`: none of these conditions holds.
+        - `WRONG`: none of the other verdicts applies.
         """
         one, off = self.printed, abs(self.exact - self.printed.value)
         half = 0.5 * 10.0**-one.digits * (1 + 1e-9)
@@ -86,7 +87,9 @@ def _robust_performance(designer: Designer, one: PrintedNumber) -> float:
 
 
 def _zero(designer: Designer, one: PrintedNumber) -> float:
-    """Returns the smallest frequency above 0 [rad/s] of an imaginary zero in the transfer from the first force to a signal."""
+    """Returns the smallest frequency above 0 [rad/s] of a zero on the imaginary axis, in the transfer function from the first
+    force to a signal.
+    """
     model = designer.vehicle.linear_model
     i = model.outputs.index(one.signal)
     pencil = np.block([[model.A, model.B[:, :1]], [model.C[i : i + 1], model.D[i : i + 1, :1]]])
@@ -100,14 +103,14 @@ def _zero(designer: Designer, one: PrintedNumber) -> float:
 
 
 def _ratio(designer: Designer, one: PrintedNumber) -> float:
-    """Returns the amplitude of a signal divided by the amplitude of the road velocity under the first wheel."""
+    """Returns the amplitude of a signal divided by the amplitude of the road velocity under the first wheel, at one frequency."""
     omega = np.array([2 * np.pi * one.hertz])
     response = continuous_frequency_response(designer.vehicle, designer.design(one.controller), omega)
     return float(np.abs(response[0, designer.vehicle.linear_model.outputs.index(one.signal), 0]))
 
 
 def _white(designer: Designer, one: PrintedNumber) -> float:
-    """Returns the rms of a signal of the passive vehicle, if the road velocity is white noise with intensity 1."""
+    """Returns the rms of a signal of the passive vehicle for a road velocity that is white noise with intensity 1."""
     model = designer.vehicle.linear_model
     row = model.C[[model.outputs.index(one.signal)]]
     return h2_norm(Plant.without_inputs(model.A, model.Bw, row, np.zeros((1, model.Bw.shape[1]))))
@@ -117,7 +120,7 @@ def _pole(designer: Designer, one: PrintedNumber) -> float:
     """Returns the real or imaginary part of a pole of the continuous loop [1/s].
 
     `one.at` contains the number of the pole, followed by 0 for the real part or 1 for the imaginary part. Poles are numbered by
-    increasing real part, then by increasing magnitude. A complex-conjugate pair of poles counts once.
+    increasing real part, then by increasing magnitude. The two poles of a complex-conjugate pair have one common number.
     """
     loop = designer.design(one.controller).loop(designer.vehicle)
     poles = np.linalg.eigvals(loop.A)
@@ -148,10 +151,10 @@ def _recovery(designer: Designer, one: PrintedNumber) -> float:
 
 
 def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
-    """Returns a function that computes a metric of a signal's step response in the continuous loop.
+    """Returns a function that computes a metric from a signal's step response in the continuous loop.
 
     Args:
-        key: name of the step-response metric, a key of `OF_A_STEP`.
+        key: name of the step-response metric, which must be a key of `OF_A_STEP`.
     """
 
     def found(designer: Designer, one: PrintedNumber) -> float:
@@ -165,7 +168,9 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
 
 
 def run_of_number(designer: Designer, one: PrintedNumber) -> Run:
-    """Returns the run in which a published number is measured. Numbers with the same run share one `Run` object."""
+    """Returns the MuJoCo run in which a published number is measured. Published numbers that are measured in the same run share
+    one `Run` object.
+    """
     return _run(designer, one.controller, one.road, one.duration, one.timestep)
 
 
@@ -191,8 +196,8 @@ def _steps(run: Run, band: float) -> dict[str, SignalSteps]:
 
 
 def _in_mujoco(designer: Designer, one: PrintedNumber) -> float | None:
-    """Returns a number's value in MuJoCo [SI]; None if the number cannot be measured in a run, or the run leaves the linear
-    regime.
+    """Returns the value of a published number in MuJoCo [SI]; None if the number cannot be measured in a run, or the run leaves
+    the linear regime.
     """
     if one.what not in OF_A_RUN or one.what == "recovery" or not math.isinf(run_of_number(designer, one).agreement.until):
         return None
@@ -203,7 +208,7 @@ def _in_mujoco(designer: Designer, one: PrintedNumber) -> float | None:
 
 
 def _on_grid(designer: Designer, one: PrintedNumber) -> float:
-    """Computes a number only from the signal at the source's sample times; returns the number in SI units.
+    """Computes a published number from the signal only at the source's sample times, and returns the number in SI units.
 
     A settling or recovery time ends at the first sample after which the signal stays within the band.
     """

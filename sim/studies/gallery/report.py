@@ -1,4 +1,4 @@
-"""Output of the gallery as documents and as JSON: published and computed numbers, and the list of sources."""
+"""Output of the gallery as documents and as JSON: published numbers, computed numbers, and the list of sources."""
 
 from collections.abc import Sequence
 from operator import attrgetter
@@ -88,7 +88,7 @@ ENTRY = Record[Result](
 
 
 def record(results: Sequence[Result]) -> dict[str, Any]:
-    """Returns the results as a JSON object."""
+    """Returns the compared numbers as a JSON object."""
     with_numbers, without = sources([entry for entry, _ in results])
     known = {"all": list(SOURCES), "with_numbers": with_numbers, "not_expressible": without}
     return {"entries": [ENTRY(each) for each in results], "sources": known}

@@ -1,9 +1,9 @@
-"""Worst bound, margins and ride of a controller over the vehicles that are consistent with the logs.
+"""Worst bound on the norm, margins and ride of a controller over the vehicles that are consistent with the logs.
 
-The logarithms of the p estimated parameters have a 95 % confidence ellipsoid. The axes of this ellipsoid have 2 p ends, and
-each end corresponds to one vehicle. Together with the estimated vehicle, these are 2 p + 1 vehicles. Each controller is
-designed for the estimate. Its bound is then certified in exact arithmetic for each of these vehicles. Nothing is proved for
-other vehicles within the ellipsoid.
+The logarithms of the p estimated parameters have a 95 % confidence ellipsoid. Each of the ellipsoid's p axes has two ends, and
+each of these 2 p ends corresponds to one vehicle. Together with the estimated vehicle, there are 2 p + 1 vehicles. Each
+controller is designed for the estimated vehicle. The controller's bound on the norm is then certified in exact arithmetic for
+each of the 2 p + 1 vehicles. Nothing is proved for any other vehicle within the ellipsoid.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Results of a controller over the vehicles that are consistent with the logs."""
+"""Results for a controller over all vehicles that are consistent with the logs."""
 
 from dataclasses import dataclass
 
@@ -7,17 +7,17 @@ from models.document.field import Field
 
 @dataclass(frozen=True)
 class AllowedResult:
-    """Bounds, margins and ride of one controller over the vehicles that are consistent with the logs.
+    """Bound on the norm, margins and ride of one controller over the vehicles that are consistent with the logs.
 
     Attributes:
         name: name of the controller.
-        bound: proved bound on the norm for the estimated vehicle; None if nothing is proved.
-        worst_bound: largest proved bound of all vehicles; None if nothing is proved for one of the vehicles.
-        gain_margin: smallest gain margin over all vehicles; infinite if no gain makes a loop unstable.
-        disk_margin: smallest disk margin over all vehicles; None if no loop has a disk margin.
-        ride: expected ride of the estimated vehicle on an average road [m/s2]; None if this ride cannot be computed.
-        worst_ride: largest expected ride of all vehicles [m/s2].
-        vehicles: number of vehicles.
+        bound: proved bound on the H-infinity norm for the estimated vehicle; None if nothing is proved.
+        worst_bound: largest proved bound on the norm over all vehicles; None if nothing is proved for at least one vehicle.
+        gain_margin: smallest gain margin over all vehicles; infinite if no change of the gain makes any loop unstable.
+        disk_margin: smallest disk margin over all vehicles; None if no vehicle's loop has a disk margin.
+        ride: expected ride value of the estimated vehicle on an average road [m/s2]; None if this value cannot be computed.
+        worst_ride: largest expected ride value over all vehicles [m/s2].
+        vehicles: number of vehicles that are consistent with the logs and were evaluated.
     """
 
     name: str

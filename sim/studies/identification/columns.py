@@ -1,4 +1,6 @@
-"""First version of a map file (which column contains which signal), guessed only from the column headings of the logs."""
+"""First version of a map file, which states which column contains which signal; it is guessed only from the column headings of
+the logs.
+"""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -48,12 +50,12 @@ NOTES = {"m": "mm", "m/s2": "g", "rad": "deg", "m/s": "mm/s", "N": "kN"}
 
 @dataclass(frozen=True)
 class ColumnGuess:
-    """A column of a log that seems to contain a signal of the vehicle.
+    """A column of a log that probably contains a signal of the vehicle.
 
     Attributes:
-        signal: name of the signal that the column seems to contain.
-        column: heading of the column to write in the map, with a unit.
-        warning: warning about a guessed unit; empty if the heading contains the unit.
+        signal: name of the signal that the column probably contains.
+        column: heading of the column, with a unit, as written in the map file.
+        warning: warning that the unit was guessed; empty if the heading contains the unit.
     """
 
     signal: str
@@ -67,7 +69,8 @@ def _words(text: str) -> frozenset[str]:
 
 
 def guess(heading: Heading, units: Mapping[str, str]) -> ColumnGuess | None:
-    """Returns the signal that a heading seems to name; None if it names no signal, or if its unit does not fit the signal.
+    """Returns the signal to which a heading seems to refer; None if there is no such signal, or if the heading's unit does not
+    fit.
 
     Args:
         units: SI units of the vehicle's signals, by name.
@@ -93,10 +96,10 @@ def guess(heading: Heading, units: Mapping[str, str]) -> ColumnGuess | None:
 
 
 def read_headings(path: Path, units: Mapping[str, str]) -> list[Heading]:
-    """Returns the headings of a log.
+    """Returns the column headings of a log.
 
     Raises:
-        InputError: the file is not a table with headings.
+        InputError: the file is not a table with column headings.
     """
     with reading(path, "measured log", GIVE):
         table = find_table(table_text(path), GIVE)
@@ -107,10 +110,10 @@ def read_headings(path: Path, units: Mapping[str, str]) -> list[Heading]:
 
 
 def map_text(paths: Sequence[Path], vehicle: Vehicle) -> str:
-    """Returns a first map file for logs: a section for each heading that names a signal, and the other headings as comments.
+    """Returns a first map file for logs: a section for each heading that names a signal, and all other headings as comments.
 
     Raises:
-        InputError: a file is not a table with headings, or was written by `bump` or `drive` and therefore needs no map.
+        InputError: a file is not a table with column headings, or was written by `bump` or `drive` and therefore needs no map.
     """
     units = {name: one.unit for name, one in vehicle.kind.possible.items()}
     sections, others, timed = dict[str, list[ColumnGuess]](), list[str](), True

@@ -1,4 +1,4 @@
-"""The command `roadproof identify`: a vehicle file from measured logs."""
+"""The command `roadproof identify`, which identifies a vehicle from measured logs and writes the vehicle file."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 
 class IdentifyStudy(Study["Result"]):
-    """Identifies a vehicle from logs. With --columns, it returns a first map file for the logs; with --plan, it plans a rig
-    test.
+    """Identifies a vehicle from logs. With --columns, the study returns a first map file for the logs; with --plan, the study
+    plans a rig test.
     """
 
     description = (

@@ -1,16 +1,17 @@
-"""Diagnosis of a misfit: a delay, a wrong factor, sign or offset, friction, tyre damping, lift-off, or a resonance.
+"""Diagnosis of a misfit: a delay, a wrong factor, sign or offset, friction, tyre damping, wheel lift-off, or a resonance.
 
 Signals and forces are compared with the initial vehicle before the fit. Forces are tested again after the fit, because a force
 of the wrong sign then appears as masses, stiffnesses and dampings that grow without limit.
 
-Each cause changes the predicted signals in a known direction g. The part of g that a change of the unknowns (such as the
-parameters) could also produce is removed. The rest of g is fitted to the residuals by least squares, which gives the size of
-the cause. The share of a cause is the part of the residuals' sum of squares that it explains. This share is the score (Lagrange
-multiplier) statistic of one more parameter, divided by the number of residuals. The cause with the largest statistic is taken
-first. The other causes are then tested again on the residuals that this cause does not explain.
+Each possible cause changes the predicted signals in a known direction g. The part of g that changes of the unknowns, such as
+the parameters, could also produce is removed. The rest of g is fitted to the residuals by least squares, and the fit gives the
+size of the cause. The share of a cause is the part of the residuals' sum of squares that the cause explains. The share of a
+cause is the score (Lagrange multiplier) statistic for one additional parameter, divided by the number of residuals. First, the
+cause with the largest statistic is selected. The other causes are then tested again on the residuals that the selected cause
+does not explain.
 
-Friction builds up over a displacement (Dahl model). Several displacements are tried, and the best one is used: a short
-displacement alone does not detect friction that small motion fails to overcome.
+Friction builds up over a displacement, as in the Dahl model. Several displacements are tried, and the best one is used, because
+a short displacement alone does not detect friction that small motion fails to overcome.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -60,9 +61,9 @@ class Cause:
     """A cause of a misfit.
 
     Attributes:
-        words: text that states the cause and its size.
+        words: text that names the cause and its size.
         share: share of the sum of squares of all residuals that the cause explains.
-        deviations: size of the cause, divided by the standard deviation of this size.
+        deviations: estimated size of the cause, divided by the standard deviation of this estimate.
     """
 
     words: str
@@ -74,10 +75,10 @@ SETS_IN = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # displacements over which frictio
 
 
 def check_columns(problem: IdentificationProblem) -> list[str]:
-    """Compares the measured columns with the signals of the initial vehicle before the fit; returns remarks.
+    """Compares the measured columns with the signals that the initial vehicle predicts, before the fit; returns remarks.
 
     Raises:
-        InputError: a column seems to have a different unit than the map states, or the opposite sign.
+        InputError: the unit or the sign of a column seems to differ from the map.
     """
     remarks = list[str]()
     for one, prediction in zip(problem.experiments, problem.predictions, strict=True):
@@ -195,7 +196,7 @@ def contradictions(of: Estimate) -> list[str]:
 
 
 def causes(of: Estimate) -> tuple[Cause, ...]:
-    """Returns the causes of a misfit, the largest first; empty if the residuals are white."""
+    """Returns the causes of a misfit between logs and prediction, the largest first; empty if the residuals are white."""
     if of.white:
         return ()
     J, residuals = of.residuals.whole(of.x, of.noise, MOST_SAMPLES)
@@ -226,8 +227,8 @@ def causes(of: Estimate) -> tuple[Cause, ...]:
 
 
 def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
-    """Yields a pair for each possible cause: a function that describes its size, and the change of all residuals per unit of
-    size.
+    """Yields a pair for each possible cause: a function that describes the cause's size, and the change of all residuals per
+    unit of size.
     """
     experiments, problem = of.problem.experiments, of.problem
     for signal in problem.signals:
@@ -278,7 +279,9 @@ def _gain_words(signal: str, coefficient: float) -> str:
 
 
 def _lag(of: Estimate, signal: str) -> float:
-    """Returns the delay [s] at which a measured signal correlates best with the predicted signal, interpolated by a parabola."""
+    """Returns the delay [s] at which a measured signal has the largest correlation with the predicted signal, interpolated by a
+    parabola.
+    """
     total, step = np.zeros(2 * LAGS + 1), of.problem.experiments[0].step
     for one, predicted in zip(of.problem.experiments, of.predicted, strict=True):
         if signal not in one.signals or one.step != step or len(predicted) <= 4 * LAGS:
@@ -304,7 +307,9 @@ def _weighted(of: Estimate, moved: list[Array]) -> Array:
 
 
 def _friction(of: Estimate, i: int, force: str) -> list[Array]:
-    """Returns the signals caused by 1 N of friction in a suspension, shape (T, q), for each displacement of `SETS_IN`."""
+    """Returns the change of the q signals caused by 1 N of friction in a suspension, shape (T, q), for each displacement of
+    `SETS_IN`.
+    """
     prediction = of.problem.predictions[i]
     one, vehicle = prediction.experiment, prediction.vehicle(of.values)
     if one.part:  # on a dyno, the model of the part already includes its friction
@@ -326,11 +331,12 @@ def _friction(of: Estimate, i: int, force: str) -> list[Array]:
 
 
 def dahl_friction(travel: Array, lengths: Array) -> Array:
-    """Returns the friction w relative to its largest value, shape (T, m): w' = (v - |v| w) / length, with travel rate v.
+    """Returns the friction w relative to its largest value, shape (T, m); w' = (v - |v| w) / length, where v is the travel
+    rate.
 
     Args:
-        travel: suspension travel at the samples, shape (T,).
-        lengths: displacements over which the friction builds up, in the unit of the travel, shape (m,).
+        travel: suspension travel at each sample, shape (T,).
+        lengths: m displacements over which the friction builds up, in the unit of the travel, shape (m,).
     """
     sign = np.sign(np.diff(travel))
     pull, first = np.zeros((len(travel), len(lengths))), 0
@@ -366,7 +372,7 @@ def _by_parameter(of: Estimate, name: str) -> list[Array]:
 
 
 def resonances(of: Estimate) -> list[str]:
-    """Returns remarks on resonances in the residuals of signals."""
+    """Returns remarks on resonances that appear in the residuals of signals."""
     remarks = list[str]()
     for one, difference, tests in zip(of.problem.experiments, of.differences, of.whiteness, strict=True):
         for i, name in enumerate(one.signals):
@@ -381,7 +387,9 @@ def resonances(of: Estimate) -> list[str]:
 
 
 def airborne(of: Estimate) -> list[tuple[int, Array]]:
-    """Returns each experiment in which a wheel leaves the ground: its index, and an array that is True for samples in the air."""
+    """Returns the index of each experiment in which a wheel leaves the ground, with an array that is True for samples in the
+    air.
+    """
     each = list[tuple[int, Array]]()
     for i, one in enumerate(of.problem.predictions):
         if one.experiment.hubs or one.experiment.part:

@@ -1,7 +1,8 @@
-"""Experiments. Each is a stretch of a measured log at equidistant times, with the inputs of the vehicle and the sensor signals.
+"""Experiments. Each experiment is a stretch of a measured log at equidistant times, with the inputs of the vehicle and the
+sensor signals.
 
-On a dyno, a single part of the vehicle (such as a damper) is moved. The extension of the part is given, and the force is
-measured.
+On a dynamometer (dyno), a single part of the vehicle, such as a damper, is moved. In an experiment on a dyno, the extension of
+the part is the input, and the force of the part is measured.
 """
 
 from collections.abc import Mapping
@@ -20,21 +21,21 @@ OF_PARTS: Mapping[str, str] = {EXTENSION: "m", FORCE: "N"}  # units of these sig
 
 
 def signal_units(kind: VehicleKind) -> dict[str, str]:
-    """Returns the units of all signals that a log may contain, by name."""
+    """Returns the units of all signals that a log may contain, by name of the signal."""
     return {**{name: one.unit for name, one in kind.possible.items()}, **OF_PARTS}
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """Measured signal of an experiment.
+    """A measured signal of an experiment.
 
     Attributes:
         signal: name of the vehicle's signal that is measured.
-        values: measured values in SI units, shape (T,); NaN for a missing or unusable value.
-        noise: rms of the sensor's noise, in the unit of the signal; None if the rms is estimated.
+        values: measured values of the signal in SI units, shape (T,); NaN for a missing or unusable value.
+        noise: rms of the sensor's noise, in the unit of the signal; None if this rms is to be estimated.
         delay: delay of the sensor [s], or the initial value of a delay that is estimated.
-        delay_estimated: True if the delay is estimated.
-        offset_estimated: True if a constant offset is estimated.
+        delay_estimated: True if the delay of the sensor is estimated.
+        offset_estimated: True if a constant offset of the sensor is estimated.
     """
 
     signal: str
@@ -46,31 +47,32 @@ class Channel:
 
     @property
     def counted(self) -> Array:
-        """True for the samples that have a value, shape (T,)."""
+        """True for each sample that has a value, shape (T,)."""
         return np.isfinite(self.values)
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One stretch of a log.
+    """One stretch of a measured log.
 
     Attributes:
-        name: name of the log, followed by the name of the stretch if the log has several.
+        name: name of the log, followed by the name of the stretch if the log has several stretches.
         step: time between two samples [s].
         road: road heights under the r wheels [m], shape (T, r); if `hubs` is True, vertical accelerations of the r hubs [m/s2].
-            Values are interpolated linearly between samples.
+            Between samples, the road heights or hub accelerations are interpolated linearly.
         forces: control forces [N], shape (T, m).
-        channels: measured signals, one for each sensor.
-        added: additions to parameters of the vehicle file, such as a payload, by name [SI].
-        from_rest: True if the vehicle starts in equilibrium on the first road height; False if the starting state is estimated.
-        hubs: True if the road is unknown, and the measured accelerations of the hubs are the inputs instead.
-        forces_held: True if each force is held until the next sample, as by a computer; False if forces are interpolated
-            linearly.
-        road_held: True if the height halfway between two samples is held over the step, as in MuJoCo.
-        part: name of the force element that a dyno moves; empty if the whole vehicle is measured.
-            If a part is named, `road` is its extension.
+        channels: measured signals, each from one sensor.
+        added: amounts added to parameters of the vehicle file, such as a payload, by name of the parameter [SI].
+        from_rest: True if the vehicle starts in equilibrium at the first road height; False if the starting state is estimated.
+        hubs: True if the road is unknown, and the measured hub accelerations are the inputs instead of road heights.
+        forces_held: True if each force is constant until the next sample, as a computer holds it; False if forces are
+            interpolated linearly.
+        road_held: True if the road height during each step is constant, namely the height halfway between the two samples, as
+            in MuJoCo.
+        part: name of the force element that is moved on a dyno; empty if the whole vehicle is measured. If a part is named,
+            `road` contains the extension of the part.
         start: time of the first sample on the log's clock [s].
-        random: random road with an unknown profile and a spectrum of known form; None for any other road.
+        random: random road whose profile is unknown but whose spectrum has a known form; None for any other road.
     """
 
     name: str

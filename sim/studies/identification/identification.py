@@ -1,4 +1,4 @@
-"""Identification of a vehicle from logs: free parameters, estimate, intervals, checks, and the resulting vehicle."""
+"""Identification of a vehicle from logs: free parameters, estimate, confidence intervals, checks, and the resulting vehicle."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -55,8 +55,9 @@ class Interval:
     """95 % interval of a parameter.
 
     Attributes:
-        low, high: ends of the interval; None for an open side.
-        method: "covariance", "robust" (covariance for coloured residuals) or "profile" (profile likelihood).
+        low, high: ends of the confidence interval; None for an open end.
+        method: method of computation: "covariance", "robust" (covariance for coloured residuals) or "profile" (profile
+            likelihood).
     """
 
     low: float | None
@@ -66,18 +67,19 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """Result of an identification.
+    """Result of the identification of a vehicle.
 
     Attributes:
         estimate: estimated parameters with their covariance.
-        intervals: 95 % interval of each free parameter that the logs determine individually (not only in a product), by name.
-        causes: causes of a misfit in the residuals.
-        remarks: remarks on the logs and their columns.
-        mirror: parameter values of a second solution that fits equally well, by name; empty if none is known.
+        intervals: 95 % confidence interval of each free parameter that the logs determine individually (not only in a product),
+            by name.
+        causes: causes of a misfit that were found in the residuals.
+        remarks: remarks on the logs and on the columns of the logs.
+        mirror: parameter values of a second solution that fits equally well, by name; empty if no second solution is known.
         held_out: fit of each signal in the logs that were not used for the estimate, by experiment.
-        in_mujoco: largest difference of each signal between MuJoCo and the prediction, relative to the peak of the signal;
-            empty if nothing was simulated.
-        allowed: results of controllers over the vehicles that are consistent with the logs, if requested.
+        in_mujoco: largest difference between MuJoCo and the prediction for each signal, relative to the signal's peak; empty if
+            nothing was simulated.
+        allowed: results of controllers over all vehicles that are consistent with the logs, if they were requested.
     """
 
     estimate: Estimate
@@ -91,19 +93,20 @@ class Identification:
 
     @cached_property
     def vehicle(self) -> Vehicle:
-        """The vehicle with the identified values."""
+        """The vehicle with the identified parameter values."""
         return changed(self.estimate.problem.vehicle, self.estimate.values)
 
     @property
     def determined(self) -> tuple[str, ...]:
-        """Free parameters that the logs determine individually, rather than only in a product."""
+        """Free parameters that the logs determine individually, and not only in a product."""
         return tuple(self.intervals)
 
 
 def changed(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-    """Returns the vehicle with changed parameter values. If a table replaces a parameter, the table is scaled to the new value.
+    """Returns the vehicle after some parameter values were changed. If the vehicle file replaces a parameter by a table, the
+    table is scaled to the new value.
 
-    Parameters of a random road are ignored.
+    Changes to parameters of a random road are ignored.
     """
     values = {name: value for name, value in values.items() if name not in ROAD_UNITS}
     optional = {one.name for one in vehicle.kind.parameters} - vehicle.parameters.keys()
@@ -119,14 +122,15 @@ def changed(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
 def free_parameters(
     vehicle: Vehicle, fix: Sequence[str] = (), free: Sequence[str] = (), parts: Collection[str] = ("",)
 ) -> dict[str, float]:
-    """Returns the initial values of the free parameters: masses, inertias, stiffnesses and dampings above zero in the file.
+    """Returns the initial values of the free parameters: masses, inertias, stiffnesses and dampings that are above zero in the
+    vehicle file.
 
     Args:
-        fix: names of parameters that keep their values.
-        free: names of further free parameters; a damping that is zero in the file starts at a small value.
-        parts: names of the parts whose logs are given; the empty name stands for logs of the vehicle. All numbers of a part on
-            a dyno are estimated, except voltages and bandwidths. If all logs are of parts, no parameters of the vehicle are
-            estimated.
+        fix: names of parameters that keep their initial values.
+        free: names of additional free parameters; a damping that is zero in the file starts at a small value.
+        parts: names of the parts to which the logs belong; the empty name stands for logs of the whole vehicle. For a part on a
+            dyno, all numerical parameters of the part are estimated, except voltages and bandwidths. If every log belongs to a
+            part, no parameters of the vehicle are estimated.
 
     Raises:
         InputError: a name is not a parameter of the vehicle, or cannot be estimated.
@@ -153,7 +157,9 @@ def free_parameters(
 
 
 def element_numbers(vehicle: Vehicle) -> dict[str, tuple[float, SI]]:
-    """Returns the numbers of force elements, each with its unit and range; the names are NAME.key."""
+    """Returns the numerical parameters of the force elements, each with its unit and range; their names have the form
+    NAME.key.
+    """
     return {key: one for element in vehicle.elements for key, one in element.numbers.items()}
 
 
@@ -179,15 +185,15 @@ def identify(
 
     Args:
         logs: paths of the log files; see `sim.studies.identification.reading` for their formats.
-        vehicle: vehicle with the initial values. Parameters that are not free keep their values.
-        log_map: map from columns to signals; None for logs whose headings are names of signals.
+        vehicle: vehicle with the initial parameter values. Parameters that are not free keep their initial values.
+        log_map: map from columns to signals; None for logs whose column headings are names of signals.
         fix: names of parameters that keep their initial values.
-        free: names of further parameters to estimate, such as tyre_damping, or numbers of force elements as NAME.key.
-        hold_out: logs that are predicted for comparison, but not used for the estimate.
+        free: names of additional parameters to estimate, such as tyre_damping, or numbers of force elements as NAME.key.
+        hold_out: logs that are compared with their prediction, but not used for the estimate.
         seed: random seed from which further starting points are drawn.
 
     Raises:
-        InputError: a file is wrong, a column seems to have the wrong unit or sign, or the logs determine no parameter.
+        InputError: a file is invalid, a column seems to have the wrong unit or sign, or the logs determine no parameter.
     """
     own = log_map if isinstance(log_map, LogMap) else read_map(log_map, vehicle)
     named = replace(vehicle, kind=vehicle.kind.naming({*vehicle.kind.possible}))
@@ -204,7 +210,7 @@ def identify_experiments(
     hold_out: Sequence[LogStretches] = (),
     seed: int = 0,
 ) -> Identification:
-    """Identifies the parameters of a vehicle from experiments; arguments and errors as for `identify`."""
+    """Identifies the parameters of a vehicle from experiments; the arguments and errors are those of `identify`."""
     experiments = tuple(one for log in logs for one in log.experiments)
     road = free_road(experiments, fix, free)
     fix, free = ([name for name in names if road is None or name not in ROAD_UNITS] for names in (fix, free))
@@ -244,7 +250,7 @@ def identify_experiments(
 def _identify_spectra(
     problem: IdentificationProblem, hold_out: Sequence[LogStretches], remarks: Sequence[str], seed: int
 ) -> Identification:
-    """Returns the identification from logs of a random road; arguments as for `identify_experiments`."""
+    """Returns the identification from logs of a random road; the arguments are those of `identify_experiments`."""
     result = estimate_spectra(problem, tuple(problem.first), seed)
     intervals = dict[str, Interval]()
     for name in result.free:
@@ -259,9 +265,9 @@ def _identify_spectra(
 
 
 def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Array]]) -> tuple[IdentificationProblem, list[str]]:
-    """Returns the problem without samples at which a wheel is in the air.
+    """Returns the identification problem without the samples at which a wheel is in the air.
 
-    Each stretch after a landing has its own starting state.
+    Each stretch that begins with a landing has a separate starting state.
     """
     experiments, remarks, lifted = list[Experiment](), list[str](), dict(air)
     for i, one in enumerate(problem.experiments):
@@ -294,11 +300,11 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
 def _mirror(
     of: Estimate, nearby: Callable[[IdentificationProblem, Sequence[str], float], dict[str, float] | None]
 ) -> dict[str, float]:
-    """Returns a second solution of a quarter-car that fits equally well, in which suspension and tyre are exchanged.
+    """Returns a second solution for a quarter-car that fits equally well, in which suspension and tyre are exchanged.
 
-    Let k_s, c_s be the stiffness and damping of the suspension, k_t, c_t those of the tyre, and m = m_s / (m_s + m_u). With a
-    damped tyre, the body's motion alone cannot distinguish these values from k_t m, c_t m for the suspension and k_s / m, c_s / m
-    for the tyre.
+    Let k_s and c_s be the stiffness and damping of the suspension, k_t and c_t those of the tyre, and m = m_s / (m_s + m_u).
+    If the tyre is damped, the body's motion alone cannot distinguish suspension and tyre from a suspension with k_t m, c_t m
+    and a tyre with k_s / m, c_s / m.
     """
     names = ("suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping")
     if any(name not in of.free for name in names) or "sprung_mass" not in of.problem.vehicle.parameters:
@@ -314,8 +320,8 @@ def _mirror(
 
 
 def _held_out(of: Estimate, log: LogStretches) -> list[tuple[Experiment, dict[str, float]]]:
-    """Returns the fit of each signal in each stretch of a log that was not used for the estimate. Only its starting state and
-    offsets are estimated.
+    """Returns the fit of each signal in each stretch of a log that was not used for the estimate. For each stretch, only the
+    starting state and the offsets are estimated.
     """
     residuals = Residuals(replace(of.problem, first=of.values, experiments=log.experiments, known=()), ())
     return list(zip(log.experiments, residuals.fits(first_unknowns(residuals)), strict=True))

@@ -1,4 +1,4 @@
-"""Independent check of the prediction: the identified vehicle is simulated in MuJoCo over the road of an experiment."""
+"""Independent check of the prediction, in which the identified vehicle is simulated in MuJoCo over the road of an experiment."""
 
 from dataclasses import replace
 
@@ -12,9 +12,11 @@ MOST = 60.0  # s, longest part of an experiment that is simulated in MuJoCo
 
 
 def difference_in_mujoco(of: Estimate) -> dict[str, float]:
-    """Returns the largest difference between MuJoCo and the prediction in the first experiment, relative to each signal's peak.
+    """Returns the largest difference of each signal between MuJoCo and the prediction in the first experiment, relative to the
+    signal's peak.
 
-    The result is empty if the run cannot be simulated: control forces act, a part is on a dyno, or the road is unknown.
+    The result is empty if the experiment cannot be simulated, because control forces act, a part is on a dyno, or the road is
+    unknown.
     """
     from sim.runs.run import run_controllers
     from synth.vehicle.designer import design

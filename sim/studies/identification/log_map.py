@@ -1,4 +1,4 @@
-"""Maps of logs (TOML files): the column and the sensor of each signal, and the inputs of the vehicle."""
+"""Maps of logs (TOML files), which state the column and the sensor of each signal, and the inputs of the vehicle."""
 
 # road = "logged"                      # or "flat", "unknown", or a road as `roadproof drive --road` takes it, with a speed
 # start = "estimated"                  # or "rest"
@@ -55,7 +55,9 @@ def _delay(value: Any, context: Mapping[str, Any]) -> float | None:
 
 @dataclass(frozen=True)
 class SensorSection(Section):
-    """[signals.NAME]: a signal of the vehicle and its sensor. None means that the value is estimated."""
+    """[signals.NAME]: a signal of the vehicle and the sensor that measures this signal. The value None means that the quantity
+    is estimated.
+    """
 
     column: Annotated[str, Text("heading of the column, with the unit in brackets if the file gives none")] = ""
     sign: Annotated[int, ReadBy("1, or -1 for a sensor that counts the other direction as positive", _sign)] = 1
@@ -66,7 +68,7 @@ class SensorSection(Section):
 
 @dataclass(frozen=True)
 class LogKeys(Section):
-    """Keys of a map file, which apply to all logs or to one log."""
+    """Keys of a map file, which apply either to all logs or to one log."""
 
     road: Annotated[str, Text("logged, flat, unknown, or a road as for roadproof drive; a random road is not measured")] = LOGGED
     speed: Annotated[float, SI("m/s", "speed on that road", 0.0)] = 0.0
@@ -85,7 +87,7 @@ class LogKeys(Section):
 
 @dataclass(frozen=True)
 class MapFile(LogKeys):
-    """Content of a map file: keys that apply to all logs, followed by tables."""
+    """Content of a map file: keys that apply to all logs, followed by tables for signals, known values and single logs."""
 
     signals: Annotated[Mapping[str, Any], AnyTable("signals by name")] = field(default_factory=dict[str, Any])
     known: Annotated[Mapping[str, Any], AnyTable("known parameters")] = field(default_factory=dict[str, Any])
@@ -94,14 +96,14 @@ class MapFile(LogKeys):
 
 @dataclass(frozen=True, eq=False)
 class LogMap:
-    """A map that was read.
+    """Content of a map file after reading.
 
     Attributes:
         keys: keys that apply to all logs.
-        sensors: section of each signal in the map, by name.
-        known: combinations of parameters that are known from elsewhere.
-        of_logs: keys that apply only to a single log, by file name of this log.
-        source: path of the map; empty if there is no map file.
+        sensors: section of each signal in the map, by name of the signal.
+        known: combinations of parameters whose values are known from other sources.
+        of_logs: keys that apply only to a single log, by file name of the log.
+        source: path of the map file; empty if there is no map file.
     """
 
     keys: LogKeys = field(default_factory=LogKeys)
@@ -111,15 +113,15 @@ class LogMap:
     source: str = ""
 
     def of(self, log: Path) -> LogKeys:
-        """Returns the keys that apply to a log."""
+        """Returns the keys of the map file that apply to a log."""
         return self.of_logs.get(log.name, self.keys)
 
 
 def read_map(path: Path | None, vehicle: Vehicle) -> LogMap:
-    """Reads a map. Without a path, the result is a map for logs whose columns have the names of signals.
+    """Reads a map. Without a path, the function returns a map for logs whose column headings are names of signals.
 
     Raises:
-        InputError: the file is not a map of this vehicle.
+        InputError: the file is not a valid map for this vehicle.
     """
     if path is None:
         return LogMap()
@@ -145,7 +147,7 @@ def read_map(path: Path | None, vehicle: Vehicle) -> LogMap:
 
 @dataclass(frozen=True)
 class _KnownSection(Section):
-    """A value with its standard deviation."""
+    """A known value with its standard deviation."""
 
     value: Annotated[float, ReadBy("value", lambda value, context: SI(context["unit"], low=-1e12).number(HERE, value))]
     deviation: Annotated[

@@ -1,12 +1,13 @@
-"""Force of a part under a measured motion, as on a dyno, with derivatives with respect to the part's numbers.
+"""Force of a part under a measured motion, as on a dyno, with derivatives with respect to the part's numerical parameters.
 
-The extension d is a cubic spline through its samples, and v is the rate of d. The internal states z of the part satisfy z' = f(d,
-v, z), where f is defined by the part (`models.parts`). The trapezoidal rule
+The extension d of the part is a cubic spline through the samples, and v is the rate of d. The internal states z of the part
+satisfy z' = f(d, v, z), where f is defined by the part (`models.parts`). The trapezoidal rule
 
     z[k+1] - z[k] = h/2 (f[k] + f[k+1])
 
-on fine steps h is solved for all steps simultaneously by Newton's method. Each equation contains two consecutive steps only, so
-the matrix is banded. The same matrix also gives the derivatives of z with respect to the part's numbers and to z[0].
+is applied to fine steps of length h, and its equations are solved for all steps simultaneously by Newton's method. Each
+equation contains the states of only two consecutive steps, so the matrix is banded. The banded matrix also gives the
+derivatives of z with respect to the part's parameters and to z[0].
 """
 
 import math
@@ -33,7 +34,7 @@ FAR = 1e12  # N, force that is used for a part whose states diverge, so that the
 
 
 class PartPrediction(LogPrediction):
-    """Predicted force of a part on a dyno; see `Experiment.part`."""
+    """Prediction of the force of a part on a dyno; see `Experiment.part`."""
 
     def part(self, vehicle: Vehicle) -> Part:
         """Returns the part of a vehicle that an experiment measures on a dyno.
@@ -49,7 +50,9 @@ class PartPrediction(LogPrediction):
 
     @cached_property
     def _motion(self) -> tuple[Array, Array, int]:
-        """Extension and extension rate at all fine steps, each of shape (K,), and the number of fine steps per sample."""
+        """Extension and extension rate at all fine steps, each of shape (K,), and the number of fine steps per sample of the
+        log.
+        """
         from scipy.interpolate import CubicSpline
 
         one = self.experiment
@@ -90,7 +93,9 @@ class PartPrediction(LogPrediction):
         return self._sampled(columns, p, fine, delays)
 
     def _sampled(self, columns: Sequence[Array], p: int, fine: int, delays: Sequence[float]) -> PredictedSignals:
-        """Returns the delayed force at the sample times, followed by its derivatives with respect to p numbers and n states."""
+        """Returns the delayed force at the sample times, followed by its derivatives with respect to p parameters and n
+        states.
+        """
         time = self.experiment.time
         at = self.experiment.start + self.experiment.step / fine * np.arange(len(columns[0]))
         rate = np.gradient(columns[0], self.experiment.step / fine)
@@ -102,7 +107,9 @@ class PartPrediction(LogPrediction):
         return self.experiment.step / self._motion[2] * (rates[1:] + rates[:-1]) / 2
 
     def _solved(self, part: Part, z0: Array) -> tuple[Array, Array]:
-        """Returns the states at all fine steps, shape (K, n), and the bands of the Jacobian matrix of the equations."""
+        """Returns the part's internal states at all fine steps, shape (K, n), and the bands of the Jacobian matrix of the
+        equations.
+        """
         d, v, fine = self._motion
         half, n = self.experiment.step / fine / 2, len(z0)
         z, bands = np.tile(z0, (len(d), 1)), np.zeros((3 * n - 1 if n else 0, len(d) * n))

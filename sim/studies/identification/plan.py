@@ -1,7 +1,7 @@
-"""Plans of a rig test: predicts how accurately chirps would determine the parameters.
+"""Plans of a rig test, which predict how accurately chirps would determine the parameters.
 
-The covariance of the estimate is predicted from the vehicle, the sensors and the sensor noise (Cramer-Rao bound). Each chirp has
-the largest amplitude at which every wheel stays on its post, with a reserve.
+The covariance of the parameters is predicted from the vehicle, the sensors and the sensor noise (Cramer-Rao bound). Each chirp
+has the largest amplitude, with a reserve, at which every wheel stays on its post.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,12 +31,12 @@ APART = 0.3  # relative difference between the frequencies at which two posts st
 
 @dataclass(frozen=True)
 class ChirpPlan:
-    """A chirp, and the predicted accuracy of the parameters that it would determine.
+    """A chirp, and the predicted accuracy of the parameters that would be estimated from this chirp.
 
     Attributes:
-        duration: length of the chirp [s].
+        duration: duration of the chirp [s].
         low, high: frequencies of the chirp at its start and at its end [Hz].
-        amplitude: amplitude of the post's motion [m].
+        amplitude: amplitude of the posts' motion [m].
         deviations: predicted relative standard deviation of each parameter; infinite if the chirp does not determine the
             parameter.
     """
@@ -49,7 +49,7 @@ class ChirpPlan:
 
     @property
     def worst(self) -> float:
-        """The largest relative standard deviation of any parameter."""
+        """The largest relative standard deviation of any parameter in this plan."""
         return max(self.deviations.values())
 
 
@@ -64,22 +64,23 @@ PLAN = Record[ChirpPlan](*PLANS, deviations="deviations")
 
 
 def chirp(duration: float, low: float, high: float, step: float) -> Array:
-    """Returns a chirp of amplitude 1 whose frequency [Hz] grows exponentially, with a fade-in of one period, shape (T,)."""
+    """Returns a chirp with amplitude 1 whose frequency [Hz] grows exponentially, with a fade-in of one period, shape (T,)."""
     time = np.arange(0, duration + step / 2, step)
     scale = duration / np.log(high / low)
     return np.minimum(time * low, 1.0) * np.sin(2 * np.pi * low * scale * (np.exp(time / scale) - 1))
 
 
 def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequence[str] = ()) -> list[ChirpPlan]:
-    """Returns chirps for all posts, sorted by the largest relative standard deviation of any parameter, smallest first.
+    """Returns plans with chirps for all posts, sorted by the largest relative standard deviation of any parameter, smallest
+    first.
 
-    Different posts start at different frequencies, so that all modes of the body are excited.
+    The chirps of different posts start at different frequencies, so that all modes of the body are excited.
 
     Args:
-        log_map: map with the sensors and their noise.
+        log_map: map that defines the sensors and their noise.
 
     Raises:
-        InputError: the map contains no noise for a sensor.
+        InputError: the map does not state the noise of a sensor.
     """
     silent = [name for name, one in log_map.sensors.items() if one.noise is None and not name.startswith("road")]
     sensors = {name: one.noise for name, one in log_map.sensors.items() if one.noise is not None}
@@ -101,7 +102,9 @@ def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequ
 
 
 def _loads(vehicle: Vehicle, road: Array) -> float:
-    """Returns the largest ratio of tyre motion to static compression, or of suspension motion to available travel, on a road."""
+    """Returns the larger of two ratios on a road: tyre motion to static compression, and suspension motion to available
+    travel.
+    """
     limits = {name: abs(one) for name, one in vehicle.kind.static_tyre_deflection(vehicle.parameters).items()}
     limits |= {place.deflection: TRAVEL for place in vehicle.kind.suspensions}
     names = [name for name in limits if name in vehicle.linear_model.outputs]

@@ -1,19 +1,19 @@
 """Signals of a vehicle over a measured road, and the signals' derivatives with respect to the parameters.
 
-A vehicle with linear springs and dampers has
+A vehicle with linear springs and dampers has the equations
 
     x' = A x + Bv v + Bd v',    y = C x + Dv v + Dd v',
 
-where v contains the road heights and control forces. Heights and forces are interpolated linearly between samples, so a matrix
-exponential for [x; v; v'] gives the exact step from sample to sample. The same matrix exponential also gives the measurements of
-a delayed sensor at any time within the step.
+where v contains the road heights and control forces. Heights and forces are interpolated linearly between samples, so that a
+matrix exponential for [x; v; v'] gives the exact state at the next sample. The matrix exponential also gives the measurements
+of a delayed sensor at any time between two samples.
 
-The matrices of a step are differentiated by central differences. The recursion that computes the response then also gives the
-derivatives of the response. The relative error of the derivatives is about 1e-10, as for the matrices, and does not grow with
-the length of the log.
+The matrices of a step between samples are differentiated by central differences. With the derivatives of the matrices, the
+recursion that computes the response also gives the derivatives of the response. The relative error of the response derivatives
+is about 1e-10, as for the matrices, and does not grow with the length of the log.
 
-A vehicle with force elements or tables is integrated by RK4 (`sim.linear.stepped`). Derivatives are then finite differences of
-responses.
+A vehicle with force elements or tables is integrated by RK4 (`sim.linear.stepped`). For a vehicle with force elements or
+tables, the derivatives are finite differences of responses.
 """
 
 import math
@@ -39,11 +39,11 @@ class PredictedSignals:
     """Predicted measurements of an experiment with q channels, and their derivatives.
 
     Attributes:
-        values: predicted values, shape (T, q); NaN before the first sample that a delayed sensor can measure.
-        by_parameter: derivatives with respect to p parameters, per SI unit, shape (p, T, q).
-        by_start: derivatives with respect to the n components of the starting state, shape (n, T, q); n = 0 if this state is
-            known.
-        by_delay: derivative of each channel with respect to the delay of its sensor, shape (T, q).
+        values: predicted measurements, shape (T, q); NaN before the first sample that a delayed sensor can measure.
+        by_parameter: derivatives of the measurements with respect to p parameters, per SI unit, shape (p, T, q).
+        by_start: derivatives of the measurements with respect to the n components of the starting state, shape (n, T, q); n = 0
+            for a known state.
+        by_delay: derivative of each channel's measurements with respect to the delay of its sensor, shape (T, q).
     """
 
     values: Array
@@ -71,11 +71,11 @@ class _Step:
 
 
 class LogPrediction:
-    """Predictor of an experiment's signals for any values of the parameters.
+    """Predicts an experiment's signals for any parameter values.
 
     Args:
         experiment: experiment whose signals are predicted.
-        vehicle: function that returns the vehicle for given parameter values, by name.
+        vehicle: function that returns the vehicle for a set of parameter values, by name.
     """
 
     def __init__(self, experiment: Experiment, vehicle: Callable[[Mapping[str, float]], Vehicle]) -> None:
@@ -83,15 +83,16 @@ class LogPrediction:
         self.changed = vehicle
 
     def vehicle(self, values: Mapping[str, float]) -> Vehicle:
-        """Returns the vehicle of this experiment, including its payload."""
+        """Returns the vehicle of this experiment, including the payload."""
         one = self.changed(values)
         return one.altered({name: one.parameters[name] + more for name, more in self.experiment.added.items()})
 
     @cached_property
     def _inputs(self) -> tuple[Array, Array]:
-        """Inputs and their rates, over the step after each sample and at each sample, each of shape (T, 2 v).
+        """Inputs and their rates, over the step after each sample and at each sample, as two arrays of shape (T, 2 v).
 
-        The rate at a sample is the mean of the rates before and after. This mean is the true rate if the road is smooth.
+        The rate at a sample is the mean of the rates over the steps before and after this sample. The mean is equal to the true
+        rate if the road is smooth.
         """
         held = np.hstack([self.experiment.road, self.experiment.forces])
         rates = np.diff(held, axis=0, append=held[-1:]) / self.experiment.step
@@ -109,7 +110,7 @@ class LogPrediction:
         return np.hstack([held, rates]), at_samples
 
     def states(self, values: Mapping[str, float]) -> tuple[str, ...]:
-        """Returns the names of the components of an unknown starting state."""
+        """Returns the names of the components of the starting state, if this state is unknown."""
         names = self.vehicle(values).linear_model.states
         return tuple(name for name in names if not (self.experiment.hubs and name.startswith(TYRE)))
 
@@ -124,12 +125,11 @@ class LogPrediction:
         """Returns predicted signals.
 
         Args:
-            values: values of all parameters [SI].
-            free: names of the p parameters with respect to which the signals are differentiated, each with a typical size of
-                the parameter.
-            start: state of the vehicle at the start, shape (n,); None for equilibrium.
-            delays: delay of the sensor of each channel [s].
-            derivatives: False if derivatives are not needed; the result then contains empty or zero derivatives.
+            values: values of all parameters [SI], by name.
+            free: names of the p parameters with respect to which the signals are differentiated, each with its typical size.
+            start: state of the vehicle at the first sample, shape (n,); None for equilibrium.
+            delays: sensor delay of each channel [s].
+            derivatives: False if derivatives are not needed; in this case, the result contains empty or zero derivatives.
         """
         if self.vehicle(values).parts.nonlinear:
             return self._stepped(values, free, start, delays, derivatives)
@@ -160,12 +160,13 @@ class LogPrediction:
         return other(values, {}, start, [0.0] * len(names), False).values
 
     def _read(self, rows: Array, x: Array, delays: Sequence[float], driven: bool = True) -> Array:
-        """Returns the measurement of each channel at each sample, from [x; v; v'] at the last sample before the delayed time.
+        """Returns the measurement of each channel at each sample, computed from [x; v; v'] at the last sample before the
+        delayed time.
 
         Args:
-            rows: row of each channel, by which [x; v; v'] is multiplied, shape (q, n + 2 v).
-            x: states at the samples, shape (T, n).
-            driven: False if no inputs act.
+            rows: matrix whose rows, one for each channel, multiply [x; v; v'], shape (q, n + 2 v).
+            x: states of the vehicle at the samples, shape (T, n).
+            driven: False if no inputs act on the vehicle.
         """
         h, n, values = self.experiment.step, x.shape[1], np.empty((len(x), len(rows)))
         for i, (row, delay) in enumerate(zip(rows, delays, strict=True)):
@@ -249,31 +250,35 @@ class LogPrediction:
 
 
 def padded(values: Array) -> Array:
-    """Returns the values with one additional sample before and two after, by point reflection at the ends, shape (T + 3, r)."""
+    """Returns the input values with one additional sample before and two after, by point reflection at both ends, shape (T + 3,
+    r).
+    """
     return np.pad(values, ((1, 2), (0, 0)), mode="reflect", reflect_type="odd")
 
 
 def midpoints(values: Array) -> Array:
-    """Returns values halfway to the next sample, by cubics through four samples, shape (T, r); the last value is unchanged."""
+    """Returns the input values halfway to the next sample, by cubics through four samples, shape (T, r); the last value is
+    unchanged.
+    """
     whole = padded(values)
     middle = (9 * (whole[1:-2] + whole[2:-1]) - whole[:-3] - whole[3:]) / 16
     return np.vstack([middle[:-1], values[-1:]])
 
 
 def _both_sides(values: Mapping[str, float], name: str, step: float) -> tuple[dict[str, float], dict[str, float]]:
-    """Returns two sets of parameters. In the first, one parameter is larger by a step; in the second, it is smaller by the
-    step, but not below zero.
+    """Returns two sets of parameter values. In the first set, one parameter is larger by a step. In the second set, this
+    parameter is smaller by a step, but not below zero.
     """
     return {**values, name: values[name] + step}, {**values, name: max(values[name] - step, 0.0)}
 
 
 def continuous_model(vehicle: Vehicle, experiment: Experiment) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Returns A, Bv, Bd, C, Dv and Dd of an experiment; the module docstring defines them.
+    """Returns the matrices A, Bv, Bd, C, Dv and Dd of an experiment, which the module docstring defines.
 
-    If the road is unknown, the inputs are hub accelerations instead of road heights, and the model contains no tyres.
+    If the road is unknown, the inputs are hub accelerations instead of road heights, and the tyres are not part of the model.
 
     Raises:
-        InputError: the road is unknown, and an inerter couples the hubs with the body.
+        InputError: the road is unknown, but an inerter couples the hubs with the body.
     """
     model = vehicle.linear_model
     rows = [model.outputs.index(name) for name in experiment.signals]

@@ -1,4 +1,4 @@
-"""Reads experiments from files of logs: assigns columns to signals, and removes unusable samples and gaps."""
+"""Reads experiments from log files: assigns columns to signals, and removes unusable samples and gaps."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -32,17 +32,17 @@ DEEP = 1.0  # m; a larger motion in a log cannot be right
 
 @dataclass(frozen=True, eq=False)
 class LogStretches:
-    """Experiments of a log, and remarks on the log."""
+    """The experiments of a log, and remarks on the log."""
 
     experiments: tuple[Experiment, ...]
     remarks: tuple[str, ...]
 
 
 def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretches:
-    """Reads a log: a table (.csv, .txt, .lvm, .mat, .xlsx, .parquet), or a log of `bump` or `drive` (.mcap).
+    """Reads a log, which may be a table (.csv, .txt, .lvm, .mat, .xlsx, .parquet) or a log of `bump` or `drive` (.mcap).
 
     Raises:
-        InputError: the log cannot be read, lacks a column that the map requires, or contains impossible values.
+        InputError: the log cannot be read, a column that the map requires is missing, or values are impossible.
     """
     keys, sensors = log_map.of(path), log_map.sensors
     units = signal_units(vehicle.kind)
@@ -61,7 +61,9 @@ def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretc
 
 
 def _own_log(path: Path, units: Mapping[str, str]) -> MeasuredLog:
-    """Returns MuJoCo's signals in a log of `bump` or `drive`: measurable signals, road heights and control forces."""
+    """Returns the signals that MuJoCo wrote to a log of `bump` or `drive`: measurable signals, road heights and control
+    forces.
+    """
     recorded = FEATURES.load("recorded logs")
     log = recorded.read_log(path)
     run = log.runs[-1]
@@ -183,7 +185,7 @@ def _channel(name: str, values: Array, of: SensorSection) -> Channel:
 
 
 def _grid(time: Array) -> tuple[float, Array, float, list[str]]:
-    """Returns the interval of equidistant samples, the index of each sample, the largest deviation of a time [s], and remarks."""
+    """Returns the sample interval, the index of each sample, the largest deviation from equidistant times [s], and remarks."""
     diffs = np.diff(time)
     usual = float(np.median(diffs))
     places = np.concatenate([[0], np.cumsum(np.maximum(np.round(diffs / usual), 1))]).astype(int)
@@ -209,12 +211,14 @@ def _grid(time: Array) -> tuple[float, Array, float, list[str]]:
 
 
 def _resolution(time: Array) -> float:
-    """Returns the largest power of ten [s] of which all times are multiples."""
+    """Returns the largest power of ten [s] such that all times are multiples of this power."""
     return next((10.0**-k for k in range(10) if np.abs(time * 10**k - np.round(time * 10**k)).max() < 1e-4), 0.0)
 
 
 def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: Sequence[str], time: Array) -> tuple[Array, bool]:
-    """Returns road heights under the wheels or hub accelerations, shape (T, r), and True if no height has an unknown offset."""
+    """Returns road heights under the wheels or hub accelerations, shape (T, r), and True if the offsets of all heights are
+    known.
+    """
     if keys.road == FLAT:
         return np.zeros((len(time), len(names))), True
     if keys.road in ROADS:
@@ -233,7 +237,7 @@ def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: 
 
 
 def _random_road(keys: LogKeys, vehicle: Vehicle) -> Iso8608 | None:
-    """Returns the random road of a log; None if the road is not random."""
+    """Returns the random road on which a log was recorded; None if the road is not random."""
     from models.roads.choice import choose_road
 
     if keys.part or keys.road in ROADS or not (road := choose_road(keys.road)).random:
@@ -248,10 +252,10 @@ def _random_road(keys: LogKeys, vehicle: Vehicle) -> Iso8608 | None:
 
 
 def _counted(name: str, values: Array, unit: str) -> tuple[Array, list[str]]:
-    """Returns a signal in which frozen and clipped samples are NaN, and remarks.
+    """Returns a signal in which frozen and clipped samples are replaced by NaN, and remarks.
 
     Raises:
-        InputError: the values are too large for the unit.
+        InputError: the values of the signal are too large for its unit.
     """
     remarks, counted = list[str](), np.isfinite(values)
     finite = values[counted]
@@ -283,7 +287,7 @@ def _counted(name: str, values: Array, unit: str) -> tuple[Array, list[str]]:
 
 
 def _lengths(same: Array) -> Array:
-    """Returns for each sample the number of equal consecutive values that end there."""
+    """Returns, for each sample, the number of consecutive equal values up to this sample."""
     lengths = np.ones(len(same), dtype=int)
     for i in np.flatnonzero(same):
         lengths[i] = lengths[i - 1] + 1
@@ -291,7 +295,7 @@ def _lengths(same: Array) -> Array:
 
 
 def _blocks(lengths: Array, least: int) -> Array:
-    """Returns True for each sample in a run of at least `least` equal values."""
+    """Returns True for each sample that belongs to a sequence of at least `least` equal values."""
     blocks = np.zeros(len(lengths), dtype=bool)
     for end in np.flatnonzero(lengths >= least):
         blocks[end - lengths[end] + 1 : end + 1] = True
@@ -299,7 +303,7 @@ def _blocks(lengths: Array, least: int) -> Array:
 
 
 def _filled(inputs: Array, names: Sequence[str]) -> tuple[Array, list[str]]:
-    """Returns the inputs with short gaps filled by linear interpolation, and remarks."""
+    """Returns the inputs after linear interpolation across short gaps, and remarks."""
     filled, remarks = inputs.copy(), list[str]()
     for column, name in zip(filled.T, names, strict=True):
         missing = ~np.isfinite(column)
@@ -316,19 +320,19 @@ def _filled(inputs: Array, names: Sequence[str]) -> tuple[Array, list[str]]:
 
 
 def runs(true: Array) -> list[tuple[int, int]]:
-    """Returns the first index and the last index + 1 of each run of consecutive True values."""
+    """Returns the first index and the last index + 1 of each sequence of consecutive True values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def _slow(road: Array, step: float, late: float) -> list[str]:
-    """Returns a remark if most of the road's motion is too fast for the sample rate of the log.
+    """Returns a remark if most of the motion of the road is too fast for the sample rate of the log.
 
     Args:
         late: largest error of the sample times [s].
 
     Raises:
-        InputError: the error of the times is so large that the phase of the road is not known.
+        InputError: the sample times are so inaccurate that the phase of the road is not known.
     """
     if not np.ptp(np.nan_to_num(road)):
         return []

@@ -1,4 +1,4 @@
-"""Writes an identification as a document, as JSON and as a vehicle file."""
+"""Writes the result of an identification as a document, as JSON and as a vehicle file."""
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -42,7 +42,9 @@ SECTION = "identified"
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """A row of the parameter table: estimated value, initial value, and an interval or the reason why there is no interval."""
+    """A row of the parameter table: estimated value, initial value, and a confidence interval or the reason why the interval is
+    missing.
+    """
 
     name: str
     unit: str
@@ -55,7 +57,7 @@ class ParameterRow:
 
 @dataclass(frozen=True)
 class SensorRow:
-    """A sensor in an experiment, with its fit, noise, delay and whiteness."""
+    """A sensor in an experiment, with the sensor's fit, noise, delay and whiteness."""
 
     experiment: str
     signal: str
@@ -93,7 +95,7 @@ PARAMETER_RECORD, SENSOR_RECORD = Record[ParameterRow](*PARAMETERS), Record[Sens
 
 
 def parameter_rows(of: Identification) -> list[ParameterRow]:
-    """Returns all parameters that were free."""
+    """Returns the table rows of all parameters that were free."""
     estimate, rows = of.estimate, list[ParameterRow]()
     units = {one.name: one.unit for one in of.vehicle.kind.parameters}
     units |= {name: key.unit for name, (_, key) in element_numbers(of.vehicle).items()} | dict(ROAD_UNITS)
@@ -113,7 +115,7 @@ def parameter_rows(of: Identification) -> list[ParameterRow]:
 
 
 def product_words(powers: Mapping[str, float]) -> str:
-    """Returns the text of a product of powers, such as unsprung_mass / sprung_mass."""
+    """Returns the text of a product of parameter powers, such as unsprung_mass / sprung_mass."""
     above = [_power(name, power) for name, power in powers.items() if power > 0]
     below = [_power(name, -power) for name, power in powers.items() if power < 0]
     return " ".join(above or ["1"]) + "".join(f" / {one}" for one in below)
@@ -124,7 +126,7 @@ def _power(name: str, power: float) -> str:
 
 
 def sensor_rows(of: Identification) -> list[SensorRow]:
-    """Returns all sensors of all experiments."""
+    """Returns the table rows of all sensors of all experiments."""
     estimate, units, rows = of.estimate, signal_units(of.vehicle.kind), list[SensorRow]()
     for one, fits, tests in zip(estimate.problem.experiments, estimate.fits, estimate.whiteness, strict=True):
         for channel in one.channels:
@@ -135,7 +137,7 @@ def sensor_rows(of: Identification) -> list[SensorRow]:
 
 
 def products(of: Estimate) -> Iterator[tuple[str, float, float, float]]:
-    """Yields the products of parameters that the logs determine: text, value and ends of the 95 % interval."""
+    """Yields the products of parameters that the logs determine, each as text, value and ends of the 95 % confidence interval."""
     for powers in of.ratios.values():
         if len(powers) > 1:
             value, deviation = of.combination(powers)
@@ -153,7 +155,7 @@ PRODUCTS = (
 
 
 def statements(of: Identification) -> Iterator[Statement]:
-    """Yields statements on the quality of the estimate, and on parameters that the logs do not determine."""
+    """Yields statements about the quality of the estimate, and about parameters that the logs do not determine."""
     estimate = of.estimate
     if estimate.structure.directions:
         scale = any({round(power, 6) for power in one.values()} == {1.0} for one in estimate.structure.directions)
@@ -199,7 +201,9 @@ def statements(of: Identification) -> Iterator[Statement]:
 
 
 def describe(of: Identification) -> Document:
-    """Describes an identification: parameters with intervals, sensors, and parameters that the logs do not determine."""
+    """Describes the result of an identification: parameters with confidence intervals, sensors, and parameters that the logs do
+    not determine.
+    """
     rows, ratios = parameter_rows(of), list(products(of.estimate))
     caption = "values and 95 % intervals of the free parameters"
     blocks: list[Any] = [Table.of("parameters", caption, PARAMETERS, rows, words=2)]
@@ -235,7 +239,7 @@ def describe(of: Identification) -> Document:
 
 
 def describe_plans(each: Sequence[ChirpPlan]) -> Document:
-    """Describes test plans: the chirps, and the standard deviation of each parameter with the best chirp."""
+    """Describes plans of a rig test: the chirps, and the standard deviation of each parameter with the best chirp."""
     best = each[0]
     rows = [f"{name} {SHARE.text(one)}" if one < inf else f"{name} not determined" for name, one in best.deviations.items()]
     caption = "chirps for the posts of a rig, each with the largest relative standard deviation of any parameter"
@@ -249,7 +253,7 @@ def describe_plans(each: Sequence[ChirpPlan]) -> Document:
 
 
 def record(of: Identification) -> dict[str, Any]:
-    """Returns an identification as a JSON object."""
+    """Returns the result of an identification as a JSON object."""
     estimate = of.estimate
     return {
         "parameters": [PARAMETER_RECORD(row) for row in parameter_rows(of)],
@@ -292,7 +296,7 @@ def figure(of: Identification) -> Figure:
 
 
 def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
-    """Returns the vehicle file with the identified values, and a section that states their origin."""
+    """Returns the vehicle file with the identified values, and with a section that states how these values were obtained."""
     vehicle, estimate = of.vehicle, of.estimate
     start, rows = estimate.problem.vehicle, parameter_rows(of)
     tables = [name for name in vehicle.curves if name in estimate.values]

@@ -1,4 +1,4 @@
-"""Whiteness of residuals: autocorrelation, the Ljung-Box test, and an autoregressive model of coloured residuals."""
+"""Whiteness of residuals: autocorrelation, the Ljung-Box test, and an autoregressive model for coloured residuals."""
 
 from dataclasses import dataclass
 
@@ -16,11 +16,12 @@ class Whiteness:
     """Whiteness of residuals.
 
     Attributes:
-        correlations: autocorrelation from lag 1 on, shape (LAGS,).
-        bound: limit such that 95 % of the correlations of white residuals are between -bound and bound.
-        outside: share of the correlations that are not between -bound and bound.
-        probability: probability that white residuals have correlations at least this large (Ljung and Box, 1978).
-        samples: number of residuals that were tested.
+        correlations: autocorrelations of the residuals, beginning at lag 1, shape (LAGS,).
+        bound: limit such that 95 % of the correlations of white residuals lie between -bound and bound.
+        outside: share of the correlations that do not lie between -bound and bound.
+        probability: probability that correlations of white residuals are at least as large as the correlations found (Ljung and
+            Box, 1978).
+        samples: number of residuals in the test.
     """
 
     correlations: Array
@@ -36,7 +37,7 @@ class Whiteness:
 
 
 def covariances(values: Array, lags: int) -> tuple[Array, Array]:
-    """Returns the autocovariances at lags 0 to `lags`, and the number of complete pairs of values at each lag."""
+    """Returns the autocovariances of residuals at lags 0 to `lags`, and the number of complete pairs of values at each lag."""
     counted = np.isfinite(values)
     filled = np.where(counted, values, 0.0)
     size = 1 << (2 * len(values) - 1).bit_length()
@@ -47,7 +48,7 @@ def covariances(values: Array, lags: int) -> tuple[Array, Array]:
 
 
 def whiteness(values: Array) -> Whiteness:
-    """Tests whether residuals are white, shape (T,); a missing residual is NaN."""
+    """Tests whether residuals, shape (T,), are white; a missing residual is NaN."""
     from scipy.special import chdtrc
 
     n = int(np.isfinite(values).sum())
@@ -72,7 +73,7 @@ class Autoregressive:
     deviation: float
 
     def sandwich(self, columns: Array) -> Array:
-        """Returns J'RJ for columns J, shape (T, p), with the autocovariance R of the residuals."""
+        """Returns J'RJ for a matrix J, shape (T, p), where R is the autocovariance of the residuals."""
         from scipy.signal import lfilter
 
         # The autocovariance of the residuals is R = s^2 (A'A)^-1. So J'RJ is s^2 M'M, where M contains the columns of J after the

@@ -1,4 +1,4 @@
-"""Recommendation of a controller: candidates of several families are tuned in linear analysis and confirmed in MuJoCo."""
+"""Recommendation of a controller: candidates of several families are tuned by linear analysis and confirmed in MuJoCo."""
 
 from collections.abc import Mapping
 

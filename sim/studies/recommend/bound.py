@@ -1,20 +1,21 @@
-"""Lower bound on the ride of all controllers with the same sensors, from LQG control of the sampled loop.
+"""Lower bound on the ride value of all controllers with the same sensors, from LQG control of the sampled loop.
 
-Between samples, a force u is held. With v = [x; u] and F = [[A, B], [0, 0]], one matrix exponential therefore gives the state
-after a time h, the integral of |z|^2 and, for the noise within the period, the double integral of |z|^2 (C. F. Van Loan (1978),
-IEEE Transactions on Automatic Control 23, 395-404):
+Between samples, the control force u is constant. With v = [x; u] and F = [[A, B], [0, 0]], one matrix exponential therefore
+gives the state after a time h, the integral of |z|^2 and, for the noise within the period, the double integral of |z|^2 (C. F.
+Van Loan (1978), IEEE Transactions on Automatic Control 23, 395-404):
 
     exp(h [[-F', 1, 0], [0, -F', Q], [0, 0, F]]) = [[., ., M], [., ., N], [., ., Phi]],
     integral of exp(F' s) Q exp(F s) over h = Phi' N,    its integral over h = Phi' M.
 
-The state of the discrete problem consists of x and of earlier forces that still act because of the delay. X and P are the
-solutions of the regulator's and the filter's Riccati equation. P_f is the covariance of the estimation error after a
-measurement, W the covariance of the noise of a period, and K the regulator's gain. The smallest cost of a period is
+The state of the discrete-time problem consists of x and of earlier forces that still act because of the delay. X is the
+solution of the regulator's Riccati equation, and P is the solution of the filter's Riccati equation. P_f is the covariance of
+the estimation error after a measurement, W the covariance of the noise in one period, and K the regulator's gain. The smallest
+cost of a sample period is
 
     tr X W + tr K' (R + B' X B) K P_f + the cost of noise within the period
 
-(K. J. Aastroem, B. Wittenmark (1997), Computer-Controlled Systems, chapter 11). No control law with this sample period and this
-delay has a smaller mean square of z.
+(K. J. Aastroem, B. Wittenmark (1997), Computer-Controlled Systems, chapter 11). No control law with the sample period and the
+delay of the loop gives a smaller mean square of z.
 """
 
 import math
@@ -40,12 +41,12 @@ FORCES, ENOUGH = np.arange(-3.0, -15.0, -1.5), 5e-3
 
 
 def least_rms(plant: Plant, hold: Sequence[HoldInterval], noise: Sequence[float]) -> float:
-    """Returns the smallest rms of z that any law can reach for white noise w, if the law measures C_y x + v in each period.
+    """Returns the smallest rms of z that any law can reach if w is white noise and C_y x + v is measured in each period.
 
     Args:
-        plant: continuous plant with n states, m inputs, q measurements.
+        plant: continuous-time plant with n states, m inputs and q measurements.
         hold: parts of the sample period, each with the delay of the force that acts during this part.
-        noise: rms of the measurement noise v, which is independent at each sample, shape (q,).
+        noise: rms of the measurement noise v, which is independent from sample to sample, shape (q,).
 
     Raises:
         LinAlgError: a Riccati equation has no solution.
@@ -78,11 +79,12 @@ def least_rms(plant: Plant, hold: Sequence[HoldInterval], noise: Sequence[float]
 
 
 def lower_bound(task: Task) -> float | str:
-    """Returns a lower bound on the expected ride [m/s2] of all controllers with the same sensors, or a text if no bound exists.
+    """Returns a lower bound on the expected ride value [m/s2] of all controllers with the same sensors, or a text if no bound
+    exists.
 
-    The force weight is reduced until the ride changes by less than `ENOUGH`. Twice the last change is then subtracted from the
-    ride. With several ride points, the bound is on their root mean square, which is at most the value at the worst point. Limits
-    on force and stroke are ignored.
+    The weight of the control force is reduced until the ride value changes by less than `ENOUGH`. Twice the last change is then
+    subtracted from the ride value. With several ride points, the bound applies to the root mean square of their ride values.
+    This root mean square is at most the value at the worst point. Limits on control force and suspension stroke are ignored.
     """
     if any(wheel.behind(task.vehicle.parameters) for wheel in task.vehicle.kind.wheels):
         return "the front wheels show the road of the rear wheels in advance"

@@ -1,4 +1,4 @@
-"""The study that recommends a controller for a vehicle."""
+"""The study that recommends a controller for a vehicle on a road."""
 
 from collections.abc import Sequence
 from pathlib import Path

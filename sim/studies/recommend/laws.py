@@ -1,14 +1,15 @@
-"""Candidates that are usually tuned by hand: skyhook with or without travel feedback, semi-active laws, other passive dampers
-and springs.
+"""Candidates that are usually tuned by hand: skyhook with or without travel feedback, semi-active laws, and passive cars with
+other dampers and springs.
 
-Each force u of the skyhook damps the velocity of the body above the suspension on which it acts. Velocities are measured, or
-are integrals xi of the measured accelerations a with a corner frequency w_c:
+Each skyhook force u damps the velocity of the body above the suspension on which the force acts. The law uses measured
+velocities, or integrals xi of the measured accelerations a with a corner frequency w_c:
 
     xi' = a - w_c xi,    u = -c S J G^+ (velocities, xi) - m_v S J G^+ a.
 
-J maps the velocities of the body to the velocities above the suspensions, and G maps them to the measured velocities. G^+ is
-the pseudo-inverse of G. S contains the static load of each suspension divided by gravity. c is the damping rate, and m_v a
-virtual mass. With travel feedback, the law adds c_d times the filtered derivative of the travel d, and k d.
+J maps the velocities of the body to the velocities above the suspensions, and G maps the velocities of the body to the measured
+velocities. G^+ is the pseudo-inverse of G. The diagonal of S contains the static load of each suspension divided by gravity. c
+is the damping rate, and m_v is a virtual mass. With travel feedback, the law also adds the travel d multiplied by k, and the
+filtered derivative of d multiplied by c_d.
 """
 
 import math
@@ -37,12 +38,13 @@ SKY, MIX, CROSSOVER = (0.15, 0.3, 0.6, 1.0, 1.5), (0.5, 0.75, 0.9), (8.0, 12.0, 
 
 
 class BodySensors(NamedTuple):
-    """Sensors of the body's velocity.
+    """Sensors from which the velocity of the body can be determined.
 
     Attributes:
-        velocities, accelerations: names of q velocity sensors and p accelerometers.
-        over: matrix that maps measured and integrated velocities to the velocities above the suspensions, shape (m, q + p).
-        travels: name of the measured suspension deflection at each force; an empty name if this deflection is not measured.
+        velocities, accelerations: names of q velocity sensors and of p accelerometers.
+        over: matrix that maps measured velocities and integrated accelerations to the velocities above the suspensions, shape
+            (m, q + p).
+        travels: name of the measured suspension deflection at each force; an empty name for a force without this measurement.
     """
 
     velocities: list[str]
@@ -52,7 +54,7 @@ class BodySensors(NamedTuple):
 
 
 def body_sensors(task: Task) -> BodySensors | None:
-    """Returns the sensors of the body's velocity; None if the file contains no such sensor."""
+    """Returns the sensors of the body's velocity; None if the vehicle file contains no such sensors."""
     model, place = task.line.linear_model, {one.force: one.deflection for one in task.line.kind.suspensions}
     moving = [i for i, name in enumerate(model.states) if name in BODY]
     if not moving or not {*model.inputs} <= {*place}:
@@ -104,7 +106,9 @@ def skyhook(task: Task, sensors: BodySensors, name: str, x: Sequence[float], tra
 
 
 def changed_passive(task: Task, name: str, x: Sequence[float]) -> Contender:
-    """Returns the passive car with dampers and springs multiplied by two factors; x contains the logarithms of these factors."""
+    """Returns the passive car after its dampers and springs were multiplied by two factors; x contains the logarithms of these
+    factors.
+    """
     factors, vehicle = dict[str, float](), task.vehicle
     damper, spring = (*(float(np.clip(math.exp(one), *ends)) for one, ends in zip(x, (DAMPER, SPRING), strict=False)), 1.0)[:2]
     for one in vehicle.kind.suspensions:
@@ -116,7 +120,7 @@ def changed_passive(task: Task, name: str, x: Sequence[float]) -> Contender:
 
 
 def semi_active(task: Task) -> list[Contender]:
-    """Returns semi-active laws, each with several parameter values; empty if the vehicle has no semi-active dampers."""
+    """Returns semi-active laws, each with several sets of parameter values; empty if the vehicle has no semi-active dampers."""
     model, candidates = task.vehicle.linear_model, list[Contender]()
     places = {one.force: one.ending for one in task.vehicle.kind.suspensions}
     most = max((getattr(one, "c_max", 0.0) for one in task.vehicle.dampers.values()), default=0.0)

@@ -1,12 +1,12 @@
 """Optimal control laws for a vehicle's sensors: LQG, H-infinity (full order, fixed order, static), and preview.
 
-The plant is the linear vehicle with a lag at the forces. The time constant of the lag approximates actuator, delay and hold: 1
-/ bandwidth + (delay + 1/2) sample periods. The road velocity is white noise with the intensity of the road. Vertical
-accelerations of the ride points are filtered by W_k.
+The plant is the linear vehicle with a first-order lag in each control force. The time constant of the lag accounts for
+actuator, delay and hold: 1 / bandwidth + (delay + 1/2) sample periods. The road velocity is modelled as white noise with the
+intensity of the road. Vertical accelerations of the ride points are filtered by W_k.
 
-Weights are given as powers of e relative to typical values, so the search needs no units. The typical value of a weight is the
-passive vehicle's rms acceleration, divided by a third of the range of the weighted signal. This range is the stroke, the static
-tyre deflection or the largest force.
+Weights are expressed as powers of e relative to typical values, so the search needs no units. The typical value of a weight is
+the passive vehicle's rms acceleration, divided by a third of the range of the weighted signal. The range of a signal is the
+suspension stroke, the static tyre deflection or the largest force.
 """
 
 import math
@@ -50,12 +50,14 @@ NORMS = 200  # largest number of norms that the search for a law with fewer stat
 
 
 def searched(task: Task) -> list[str]:
-    """Returns the names of the weights that the search varies if the task has this goal."""
+    """Returns the names of the weights that the search varies for the goal of a task."""
     return [name for name in USUAL if name != FIXED[task.goal]]
 
 
 def weighted_vehicle(task: Task, weights: Weights, delayed: bool = True) -> Vehicle:
-    """Returns the linear vehicle with these weights and the lag of the actuators; `delayed` adds a lag for delay and hold."""
+    """Returns the linear vehicle with these weights and the lag of the actuators; `delayed` adds a lag that accounts for delay
+    and hold.
+    """
     line, how, lag = task.line, task.line.implementation, task.line.limits.actuator_bandwidth
     late = (how.delay + 0.5) * (how.sample_period or task.timestep) if delayed and not how.undelayed else 0.0
     bandwidth = 1 / (late + (1 / lag if lag else 0.0)) if late or lag else None
@@ -78,11 +80,12 @@ def weighted_vehicle(task: Task, weights: Weights, delayed: bool = True) -> Vehi
 
 
 def design(task: Task, name: str, measured: Sequence[str], weights: Weights, method: str | int = LQG) -> Controller:
-    """Returns the controller that a method designs with these weights.
+    """Returns the controller that a design method finds for a set of weights.
 
     Args:
         weights: natural logarithm of each weight, relative to its typical value, and `SHARE` for H-infinity, by name.
-        method: `LQG`, "full" (full-order H-infinity), "" (static, by the two-step method), a number of states, or "preview".
+        method: `LQG`, "full" (full-order H-infinity), "" (static, by the two-step method), the order of a fixed-order law, or
+            "preview".
 
     Raises:
         DesignError, InputError: no controller can be designed for these weights.
@@ -103,7 +106,9 @@ def design(task: Task, name: str, measured: Sequence[str], weights: Weights, met
 
 
 def _law(posed: Problem, method: str | int, noise: Sequence[float], share: float) -> LinearLaw:
-    """Returns the law that a method designs for the measurements that depend on states; `method` and `share` as for `design`."""
+    """Returns the law that a method designs, using the measurements that depend on states; `method` and `share` as for
+    `design`.
+    """
     plant, given = posed.of_states, DesignProblem(posed.of_states, lower_bound=LowerBound(0.0), alternatives=False)
     if method == LQG:
         return lqg_law(plant, noise)
@@ -120,20 +125,20 @@ def _law(posed: Problem, method: str | int, noise: Sequence[float], share: float
 
 
 def own_hardware(task: Task) -> DesignConditions:
-    """Returns the design conditions for certificates: only the lag of the vehicle's own actuators."""
+    """Returns the design conditions for certificates, which include only the lag of the vehicle's actuators."""
     return DesignConditions(bandwidth=task.pushed.limits.actuator_bandwidth)
 
 
 def uncertified(task: Task, name: str, measured: Sequence[str], law: LinearLaw) -> Controller:
-    """Returns a controller with this law. The controller has the certificate of the passive vehicle until `certified` replaces
-    it.
+    """Returns a controller that applies a law. The controller carries the certificate of the passive vehicle until `certified`
+    replaces this certificate.
 
-    The certificates of all candidates would take most of the time of a search.
+    To certify every candidate would take most of the time of a search.
     """
     return Controller(name, tuple(measured), law, True, task.passive.certificate, hardware=own_hardware(task))
 
 
 def certified(task: Task, one: Controller) -> Controller:
-    """Returns a controller with its certificate for the weights of the vehicle file."""
+    """Returns a controller together with its certificate for the weights of the vehicle file."""
     designer = Designer(task.vehicle.with_force_actuators if task.vehicle.dampers else task.vehicle, search=False)
     return replace(designer.certify(one.name, one.measured, one.law, own_hardware(task)), designed=True)

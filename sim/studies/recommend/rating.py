@@ -1,7 +1,7 @@
-"""Rating of a candidate: in linear analysis, with stability margins, and in MuJoCo over several roads.
+"""Rating of a candidate controller: by linear analysis, by stability margins, and in MuJoCo over several roads.
 
-In linear analysis, metrics are expected values over the road. Runs in MuJoCo include bump stops, clipped forces, lift-off and
-sensor noise.
+In linear analysis, metrics are expected values on a random road. Runs in MuJoCo include bump stops, clipped forces, lift-off
+and sensor noise.
 """
 
 import math
@@ -44,26 +44,26 @@ BROKEN = Usage(math.inf, math.inf, 1.0, 0.0, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Rating:
-    """Metrics of a candidate, and how close the candidate comes to each limit.
+    """Metrics of a candidate controller, and how close this candidate comes to each limit.
 
     Attributes:
-        values: values of the compared metrics, by key [SI]; None if the vehicle does not have the metric or a run was aborted.
-        usage: quantities of the candidate that are compared with the limits.
+        values: values of the compared metrics, by key [SI]; None if the vehicle has no such metric or a run was aborted.
+        usage: quantities of the candidate that are compared with the limits of the task.
     """
 
     values: Mapping[str, float | None]
     usage: Usage
 
     def value(self, task: Task) -> float:
-        """Returns the value that the goal minimises; infinite if a run was aborted."""
+        """Returns the metric value that the goal minimises; infinite if a run was aborted."""
         value = self.values.get(GOALS[task.goal])
         return math.inf if value is None else value
 
     def penalised(self, task: Task, factors: Mapping[str, float] | None = None) -> float:
-        """Returns the value that the goal minimises, plus a penalty for exceeded limits.
+        """Returns the metric value that the goal minimises, plus a penalty for limits that are exceeded.
 
         Args:
-            factors: factor by which the used share of each limit is multiplied, by name of the limit; 1 for other limits.
+            factors: factor that multiplies the used share of each limit, by name of the limit; 1 for all other limits.
         """
         used = {name: (factors or {}).get(name, 1.0) * one for name, one in task.within.used(self.usage).items()}
         usual = task.passive_values.get(GOALS[task.goal]) or 1.0
@@ -71,7 +71,7 @@ class Rating:
 
 
 def rate_expected(task: Task, candidate: Contender) -> Rating | None:
-    """Returns the rating of a candidate over the design road; None if the candidate's loop is unstable or not linear."""
+    """Returns the rating of a candidate on the design road; None if the candidate's loop is unstable or not linear."""
     one = candidate.controller
     if one.linear is not True:
         return None
@@ -92,8 +92,8 @@ def rate_expected(task: Task, candidate: Contender) -> Rating | None:
 
 
 def margins_of(task: Task, controller: Controller) -> tuple[float, float]:
-    """Returns the gain margin and the disk margin at all forces; each is the smaller of the values of the implemented and the
-    ideal loop.
+    """Returns the gain margin and the disk margin at all forces; each is the smaller value of the implemented and the ideal
+    loop.
     """
     if not controller.acts:
         return MOST_GAIN, 2.0
@@ -116,10 +116,10 @@ def _margins(loop: Loop) -> tuple[float, float]:
 def drive_candidates(
     task: Task, candidates: Sequence[Contender], progress: Callable[[str], None], seeds: Sequence[int] = SEEDS
 ) -> list[Rating]:
-    """Returns the rating of each candidate in MuJoCo over the road, or over random roads with these seeds.
+    """Returns the rating of each candidate in MuJoCo over the task's road, or over random roads, one for each seed.
 
-    A candidate with an aborted run has no values. On random roads, the measurement begins when the transients have decayed; on
-    other roads it begins at the start.
+    A candidate whose run was aborted has no metric values. On random roads, the measurement begins when the transients have
+    decayed; on other roads, at the start of the run.
     """
     road = task.road
     roads = [replace(road, seed=seed) for seed in seeds] if isinstance(road, Iso8608) else [road]
@@ -142,7 +142,7 @@ def drive_candidates(
 
 
 def _rating(task: Task, one: Contender, responses: Sequence[Response], first: int) -> Rating:
-    """Returns the rating of a candidate from its runs, which are measured from the sample `first` on."""
+    """Returns the rating of a candidate from its runs, where the metrics begin at the sample `first`."""
     flat = REGIME_ENDS.index(FLAT)
     ends = [min(each.diverged, end_times(one.vehicle, each)[flat]) for each in responses] or [0.0]
     if math.isfinite(min(ends)):

@@ -1,4 +1,4 @@
-"""Recommendation of a controller for a vehicle: candidates are tuned in linear analysis, simulated in MuJoCo, and ranked."""
+"""Recommendation of a controller for a vehicle: candidates are tuned by linear analysis, simulated in MuJoCo, and ranked."""
 
 import math
 import time
@@ -46,13 +46,16 @@ def recommend(
     within: Within | str = "",
     timestep: PositiveTime = USUAL_TIMESTEP,
 ) -> Recommendation:
-    """Recommends controllers for a vehicle: tunes candidates of several families, and compares them in MuJoCo over the road.
+    """Recommends controllers for a vehicle: tunes candidates of several families, and compares these candidates in MuJoCo over
+    the road.
 
     Args:
-        road: road to drive over; for a random road, several random roads of the same kind are used. Default: class C at 20 m/s.
-        goal: quantity to minimise: "ride" (weighted acceleration), "holding" (dynamic tyre load) or "travel".
+        road: road on which controllers are compared; for a random road, several random roads with the same spectrum are used.
+            Default: class C at 20 m/s.
+        goal: quantity to minimise: "ride" (weighted acceleration), "holding" (dynamic tyre load) or "travel" (suspension
+            travel).
         within: limits that the controller must keep, as a `Within` object or as the text of `--within`.
-        timestep: timestep of MuJoCo [s].
+        timestep: timestep of the MuJoCo simulation [s].
 
     Raises:
         InputError: the road or a limit is not allowed.
@@ -72,7 +75,8 @@ def recommend(
 
 @one_thread()
 def recommendation(task: Task, progress: Callable[[str], None]) -> Recommendation:
-    """Returns the recommendation for a task. After Ctrl-C, the recommendation contains only the candidates found so far.
+    """Returns the recommendation for a task. After Ctrl-C, the recommendation contains only the candidates found before the
+    interruption.
 
     Args:
         progress: function that receives lines about the progress.
@@ -98,7 +102,7 @@ class _Work:
         self.reserve = RESERVE if task.random else 0.0
 
     def run(self) -> None:
-        """Tunes, simulates and certifies all candidates."""
+        """Tunes all candidates, simulates them in MuJoCo, and certifies the best ones."""
         task, searched = self.task, list[Family]()
         self._add(Contender(PASSIVE, task.passive, task.vehicle, "of the file"))
         planned = sum(family.evaluations for family, _ in families(task))
@@ -129,7 +133,9 @@ class _Work:
         self._show(f"{left}{text}{best}")
 
     def _search(self, family: Family, groups: tuple[str, ...] = (), again: str = "") -> None:
-        """Searches a family and adds its best candidate. After Ctrl-C, the best candidate found so far is added."""
+        """Searches a family of candidates and adds the best one. After Ctrl-C, the best candidate found before the interruption
+        is added.
+        """
         self._progress(f"{family.name}{again}")
         try:
             family.search(self.task)
@@ -137,7 +143,7 @@ class _Work:
             self._take(family, groups)
 
     def _take(self, family: Family, groups: tuple[str, ...] = ()) -> None:
-        """Adds the best candidate of a family."""
+        """Adds the best candidate of a family to the results."""
         best = family.best(self.task)
         if best is None:
             self.left_out[family.name] = family.failure.split(":")[0]
@@ -147,7 +153,7 @@ class _Work:
             self.sensors |= {groups: best[1].value(self.task) if keeps else math.inf} if groups else {}
 
     def _add(self, one: Contender) -> None:
-        """Adds a candidate, unless its implemented loop is unstable."""
+        """Adds a candidate to the results, unless its implemented loop is unstable."""
         linear = one.controller.linear is True and not one.vehicle.dampers
         rating = rate_expected(self.task, one) if linear else None
         if linear and rating is None:
@@ -156,7 +162,7 @@ class _Work:
             self.expected[one] = rating
 
     def _own(self) -> None:
-        """Adds the controllers of the vehicle file."""
+        """Adds the controllers of the vehicle file to the results."""
         vehicle = self.task.vehicle
         for name in without_copies(vehicle.controllers):
             self._progress(f"{name} of the file")
@@ -175,10 +181,10 @@ class _Work:
             self.driven[one] = replace(rating, usage=rating.usage._replace(passive_off_ground=lifts))
 
     def _repeat(self, family: Family, search: bool) -> None:
-        """Corrects the limits of a family if its best candidate exceeds limits in MuJoCo, or does not use the limits fully.
+        """Corrects a family's limits if its best candidate exceeds limits in MuJoCo, or does not use these limits fully.
 
-        If `search` is True, the family is then searched again. Otherwise, the best candidate under the corrected limits is
-        chosen from those found before.
+        If `search` is True, the family is then searched again. If `search` is False, the best candidate under the corrected
+        limits is chosen from all candidates of the earlier search.
         """
         task, (last, rating, _) = self.task, family.best(self.task) or (None, None, None)
         if last not in self.driven or rating is None:
@@ -212,7 +218,7 @@ class _Work:
                 self.expected[changed], self.driven[changed] = self.expected.pop(one), self.driven.pop(one)
 
     def rows(self) -> list[RankedContender]:
-        """Returns the best candidate of each family, ranked."""
+        """Returns the best candidate of each family, best first."""
         rows, best = list[RankedContender](), dict[str, RankedContender]()
         for one, expected in self.expected.items():
             rating, driven = self.driven.get(one, expected), one in self.driven
@@ -224,7 +230,7 @@ class _Work:
         return list(best.values())
 
     def result(self, interrupted: bool = False) -> Recommendation:
-        """Returns the recommendation from the candidates found so far."""
+        """Returns the recommendation that follows from the candidates found so far."""
         rows, left, task = self.rows(), dict(self.left_out), self.task
         named = {row.candidate.name for row in rows}
         left |= {one.name: "a run ends early in MuJoCo" for one in self.driven if one.name not in named}

@@ -1,4 +1,4 @@
-"""Result of a recommendation, also as text, JSON and vehicle file: ranked table, lower bound, benefit of sensors, omitted
+"""Result of a recommendation, also as text, JSON and vehicle file: ranked table, lower bound, benefit of sensors, and omitted
 candidates.
 """
 
@@ -37,10 +37,10 @@ class RankedContender:
     """A ranked candidate.
 
     Attributes:
-        candidate: ranked candidate, with its controller and vehicle.
-        rating: rating of the candidate in MuJoCo, or the expected rating if the candidate was not simulated.
+        candidate: ranked candidate, with its controller and its vehicle.
+        rating: rating of the candidate in MuJoCo; the expected rating if the candidate was not simulated.
         driven: True if the candidate was simulated in MuJoCo.
-        used: used share of each limit, including the reserve, by name; 1 if the limit is just reached.
+        used: used share of each limit, including the reserve, by name of the limit; 1 if the limit is just reached.
     """
 
     candidate: Contender
@@ -55,13 +55,17 @@ class RankedContender:
 
     @property
     def binds(self) -> str:
-        """The limit with the largest used share; "-" if no limit is nearly reached; followed by "!" if a limit is exceeded."""
+        """The name of the limit with the largest used share, followed by "!" if this limit is exceeded; "-" if no limit is
+        nearly reached.
+        """
         name = max(self.used, key=self.used.__getitem__, default="")
         return "-" if not name or self.used[name] < NEAR else f"{name}{'!' * (not self.keeps)}"
 
     @property
     def proved(self) -> bool | None:
-        """True if stability and norm of the ideal loop are proved; None if the controller has no forces or no linear law."""
+        """True if stability and the norm bound of the ideal loop are proved; None if the controller has no forces or no linear
+        law.
+        """
         one = self.candidate.controller
         return None if one.linear is not True or not one.acts else not one.certificate.failures
 
@@ -72,13 +76,14 @@ class Recommendation(ShownResult):
 
     Attributes:
         task: task for which the controllers are recommended.
-        rows: best candidate of each family; candidates that keep all limits come first.
-        sensors: expected value of the goal with LQG control, for each tried set of sensor groups; infinite if no law keeps the
-            limits.
-        bound: lower bound on the expected ride of all active controllers with the same sensors; None if it is not computed.
-        left_out: reason why a family of candidates or a controller of the file was omitted, by name.
+        rows: best candidate of each family; candidates that keep all limits precede the other candidates.
+        sensors: expected value of the goal with LQG control, for each set of sensor groups that was tried; infinite if no law
+            keeps the limits.
+        bound: lower bound on the expected ride value of all active controllers with the same sensors; None if no bound was
+            computed.
+        left_out: reason why a family of candidates or a controller of the vehicle file was omitted, by name.
         reserve: share of stroke and force that is kept in reserve for roads that were not simulated.
-        interrupted: True if the search was interrupted.
+        interrupted: True if Ctrl-C interrupted the search.
     """
 
     task: Task
@@ -91,29 +96,29 @@ class Recommendation(ShownResult):
 
     @property
     def passive(self) -> RankedContender | None:
-        """The table row of the unchanged passive vehicle."""
+        """The table row of the passive vehicle, which is not changed."""
         return next((row for row in self.rows if row.candidate.name == PASSIVE), None)
 
     @property
     def better(self) -> list[RankedContender]:
-        """Controllers that keep all limits and are better than the passive vehicle, the best first."""
+        """Controllers that keep all limits and are better than the passive vehicle, best first."""
         least = math.inf if self.passive is None else self.passive.rating.value(self.task)
         acting = (row for row in self.rows if row.keeps and row.candidate.controller.acts)
         return [row for row in acting if row.rating.value(self.task) < least]
 
     @property
     def best(self) -> RankedContender | None:
-        """The best controller that keeps all limits; None if none is better than the passive vehicle."""
+        """The best controller that keeps all limits; None if no such controller is better than the passive vehicle."""
         return next(iter(self.better), None)
 
     @property
     def saved(self) -> RankedContender | None:
-        """The best controller of `better` that a vehicle file can contain; it has no preview and no law in Python."""
+        """The best controller of `better` that a vehicle file can contain, so without preview and without a law in Python."""
         each = ((row, row.candidate.controller) for row in self.better)
         return next((row for row, one in each if (one.preview is None if one.linear is True else not one.user_code)), None)
 
     def change(self, row: RankedContender) -> float | None:
-        """Returns the change of the goal relative to the passive vehicle; None for the passive vehicle itself."""
+        """Returns the relative change of the goal's value from the passive vehicle; None for the passive vehicle itself."""
         usual = self.passive and self.passive.rating.value(self.task)
         return row.rating.value(self.task) / usual - 1 if usual and row is not self.passive else None
 
@@ -124,13 +129,13 @@ class Recommendation(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Document that contains the ranked table and its explanation."""
+        """Document that contains the ranked table and explains the table."""
         ranked = table(self)
         return Document("", (ranked, Document("", (verdict(self, self.best), *notes(*explanations(self, len(ranked.rows)))))))
 
 
 def table(result: Recommendation) -> Table:
-    """Returns the ranked table, which always contains the passive vehicle."""
+    """Returns the ranked table of candidates, which always contains the passive vehicle."""
     task, goal, passive, letters = result.task, GOALS[result.task.goal], result.passive, result.task.letters
     rows = list(result.rows[:MOST_ROWS])
     if passive is not None and passive not in rows:
@@ -183,7 +188,7 @@ def verdict(result: Recommendation, best: RankedContender | None) -> Statement:
 
 
 def explanations(result: Recommendation, shown: int) -> list[str]:
-    """Returns the sentences below a table that contains `shown` rows."""
+    """Returns the sentences that are printed below a table with `shown` rows."""
     task, what, known, column = result.task, WORDS[result.task.goal], result.task.letters, COLUMNS[GOALS[result.task.goal]]
     where = f"Numbers of MuJoCo over {f'{task.roads} roads' if task.roads > 1 else 'the road'}"
     more = f" Only with --json: {len(result.rows) - shown} more of the candidates." * (len(result.rows) > shown)
@@ -215,13 +220,13 @@ def explanations(result: Recommendation, shown: int) -> list[str]:
 
 
 def save(path: Path, result: Recommendation) -> str:
-    """Writes the vehicle file with the recommended controller; returns the name of its section.
+    """Writes a vehicle file with the recommended controller; returns the name of the controller's section.
 
-    A file cannot contain a controller with preview. The next best controller is then written. The section is named `best`; a
-    number is added if the file already has a controller of this name.
+    A vehicle file cannot contain a controller with preview. If the best controller has preview, the next best controller is
+    written. The section is named `best`, followed by a number if the file already has a controller of this name.
 
     Raises:
-        InputError: no controller can be written to a file, or the file cannot be written.
+        InputError: no recommended controller can be part of a vehicle file, or the file cannot be written.
     """
     row, vehicle, taken = result.saved, result.task.vehicle, result.task.vehicle.controllers
     if row is None:

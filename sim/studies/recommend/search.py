@@ -1,9 +1,10 @@
-"""Families of candidates, and the Nelder-Mead search for their parameters, based on the expected metrics over the road.
+"""Families of candidates, and the Nelder-Mead search for the candidates' parameters, based on the expected metrics on the road.
 
-The number of evaluations of a family is fixed, so the search finds the same candidates on any machine. MuJoCo simulates bump
-stops, clipped forces, noise and nonlinear characteristics, which the expectation neglects or linearises. In MuJoCo, the best
-candidate may therefore come closer to a limit than expected, or exceed it. The search is then repeated. The share of the limit
-that the candidate used in MuJoCo, divided by the expected share, becomes a factor on this limit.
+The number of evaluations for a family is fixed, so that the search finds the same candidates on any computer. MuJoCo simulates
+bump stops, clipped forces, noise and nonlinear characteristics, which the expected metrics neglect or linearise. In MuJoCo, the
+best candidate may therefore come closer to a limit than expected, or may exceed the limit. If a limit is exceeded or not fully
+used, the search is repeated with a corrected limit. The correction factor is the share of the limit that the candidate used in
+MuJoCo, divided by the expected share.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -36,16 +37,16 @@ LQG_NAME, MARGIN = "LQG", {"gain": 1.02, "disk": 1.02}
 
 @dataclass(eq=False)
 class Family:
-    """A family of candidates that differ only in a few numbers.
+    """A family of candidates, which differ only in the values of a few parameters.
 
     Attributes:
         name: name of the family in the table.
-        start: point at which the search begins, shape (k,).
-        build: function that returns the candidate for a point of the search.
-        evaluations: number of points that a search evaluates.
-        factors: ratio of the used share in MuJoCo to the expected used share, by name of the limit.
-        rated: candidates with a stable loop, each with its rating and its point of the search.
-        failure: reason why the last failed candidate could not be designed; empty if none failed.
+        start: point in parameter space at which the search begins, shape (k,).
+        build: function that returns the candidate for a point in parameter space.
+        evaluations: number of points that one search evaluates.
+        factors: ratio of the used share in MuJoCo to the expected share, by name of the limit.
+        rated: candidates with a stable loop, each with its rating and its point in parameter space.
+        failure: reason why the last failed candidate could not be designed; empty if no design failed.
     """
 
     name: str
@@ -57,16 +58,18 @@ class Family:
     failure: str = ""
 
     def best(self, task: Task) -> tuple[Contender, Rating, Array] | None:
-        """Returns the best candidate according to the present `factors`; None if there is no candidate."""
+        """Returns the best candidate under the present correction `factors`; None if there is no candidate."""
         return min(self.rated, key=lambda one: one[1].penalised(task, self.factors), default=None)
 
     def weights(self, task: Task, names: Sequence[str]) -> dict[str, float]:
-        """Returns the named weights of the best candidate, or of the starting point if there is no candidate."""
+        """Returns the named weights of the best candidate; if there is no candidate, those of the starting point."""
         best = self.best(task)
         return dict(zip(names, (self.start if best is None else best[2]).tolist(), strict=True))
 
     def search(self, task: Task) -> None:
-        """Searches for the best candidate with the present `factors`. A repeated search begins at the best point found before."""
+        """Searches for the best candidate under the present correction `factors`. A repeated search begins at the best point of
+        the earlier search.
+        """
         from scipy import optimize
 
         def value(x: Array) -> float:
@@ -94,7 +97,9 @@ class Family:
 def optimal_family(
     task: Task, name: str, measured: Sequence[str], evaluations: int, start: Weights, method: str | int = LQG, free: str = ""
 ) -> Family:
-    """Returns the family of optimal laws for the measured sensors; `free` lists the weights to search, by default all."""
+    """Returns the family of optimal laws for the measured sensors; `free` lists the weights that the search varies, by default
+    all.
+    """
     names = free.split() or [*start]
 
     def build(x: Array) -> Contender:
@@ -106,10 +111,10 @@ def optimal_family(
 
 
 def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
-    """Yields the families of a task, the cheap ones first. The second item of each pair lists the groups of sensors of a family
-    of LQG laws; for any other family, it is empty.
+    """Yields the families of a task; families with a short computing time come first. The second item of each pair lists the
+    sensor groups of a family of LQG laws; for any other family, this item is empty.
 
-    The caller must search each family before it requests the next one, because later families begin at the best points of
+    The caller must search each family before requesting the next one, because later families begin at the best points of
     earlier families.
     """
     yield Family("best damper", np.zeros(1), lambda x: changed_passive(task, "best damper", x.tolist()), 14), ()

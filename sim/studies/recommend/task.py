@@ -1,4 +1,4 @@
-"""Task of a recommendation: the vehicle and its linear model, road, goal, sensors and hardware limits."""
+"""Task of a recommendation: the vehicle and its linear model, the road, the goal, the sensors and the hardware limits."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -39,12 +39,13 @@ class Task:
     """Task of a recommendation.
 
     Attributes:
-        vehicle: vehicle that the vehicle file describes.
-        road: road to drive over; a random road has seed 0.
-        goal: quantity to minimise: "ride", "holding" or "travel".
-        within: limits that a candidate must keep.
-        timestep: timestep of MuJoCo [s].
-        effort: number of candidates to evaluate, relative to the usual number.
+        vehicle: vehicle that is defined by the vehicle file.
+        road: road on which controllers are compared; a random road has seed 0.
+        goal: quantity to minimise: "ride" (weighted acceleration), "holding" (dynamic tyre load) or "travel" (suspension
+            travel).
+        within: limits that a recommended controller must keep.
+        timestep: timestep of the MuJoCo simulation [s].
+        effort: number of candidates to evaluate, relative to the default number.
     """
 
     vehicle: Vehicle
@@ -56,7 +57,7 @@ class Task:
 
     @property
     def random(self) -> bool:
-        """True if the road is random and the response becomes stationary."""
+        """True if the road is random and the response of the vehicle becomes stationary."""
         return self.road.spectrum is not None
 
     @property
@@ -71,14 +72,16 @@ class Task:
 
     @property
     def spectrum(self) -> Spectrum:
-        """Spectrum of the random road for which candidates are designed: that of the road, or that of class C if the road has
-        no spectrum.
+        """Spectrum of the random road for which candidates are designed: the spectrum of the task's road or, if this road has
+        none, that of class C.
         """
         return self.road.spectrum or Iso8608(speed=self.road.speed or SPEED, track_width=track_width(self.vehicle)).spectrum
 
     @property
     def coarse_step(self) -> float:
-        """Timestep for expected metrics [s]: the sample period if the delay is an integer number of samples, else `timestep`."""
+        """Timestep for expected metrics [s]: the sample period if the delay is an integer number of samples, otherwise
+        `timestep`.
+        """
         how = self.vehicle.implementation
         return how.sample_period if how.sample_period and how.delay == int(how.delay) else self.timestep
 
@@ -95,22 +98,24 @@ class Task:
 
     @cached_property
     def passive(self) -> Controller:
-        """The passive controller, which requests no forces."""
+        """The passive controller, which commands no forces."""
         return self.designer.design(PASSIVE)
 
     @cached_property
     def expected_passive(self) -> ExpectedMetrics | None:
-        """Expected metrics of the passive vehicle over the design road; None if the passive vehicle is not stable."""
+        """Expected metrics of the passive vehicle on the design road; None if the passive vehicle is not stable."""
         return expect(self.pushed, self.passive, self.spectrum, self.timestep, ROADS * WINDOW)
 
     @cached_property
     def passive_values(self) -> Mapping[str, float | None]:
-        """Expected metrics of the passive vehicle for the comparison of controllers, by key; None for an unknown metric."""
+        """Expected metrics of the passive vehicle that are used to compare controllers, by key; None for an unknown metric."""
         return score_of(self.pushed, PASSIVE, {} if self.expected_passive is None else self.expected_passive.mean).values
 
     @cached_property
     def line(self) -> Vehicle:
-        """The linear vehicle, by statistical linearisation of the passive vehicle, or else by linearisation at equilibrium."""
+        """The linear vehicle: statistical linearisation of the passive vehicle or, if this fails, linearisation at
+        equilibrium.
+        """
         return self.pushed.linearised if self.expected_passive is None else self.expected_passive.line.vehicle
 
     @property
@@ -131,14 +136,16 @@ class Task:
 
     @cached_property
     def static_loads(self) -> Mapping[str, float]:
-        """Static load of the suspension at each force [N]; the weight of 400 kg if the vehicle type does not define it."""
+        """Static load of the suspension at each force [N]; the weight of 400 kg if the vehicle type does not define this load."""
         kind = self.vehicle.kind
         loads, places = kind.static_loads(self.vehicle.parameters), {one.force: one.deflection for one in kind.suspensions}
         return {name: loads.get(places.get(name, ""), 400 * GRAVITY) for name in self.vehicle.linear_model.inputs}
 
     @cached_property
     def strokes(self) -> Mapping[str, tuple[float, float]]:
-        """Stroke in bump and rebound [m], by deflection: from the file, or else `TRAVEL` times the passive peak travel."""
+        """Stroke in bump and rebound [m], by deflection: from the vehicle file or, if not defined there, `TRAVEL` times the
+        passive peak travel.
+        """
         mean, strokes = {} if self.expected_passive is None else self.expected_passive.mean, {}
         for name in (one.deflection for one in self.vehicle.kind.suspensions):
             given = self.pushed.parts.strokes.get(name, {})
@@ -148,12 +155,12 @@ class Task:
 
     @cached_property
     def forces(self) -> Mapping[str, float]:
-        """Largest force [N] of each actuator: from the file, or else `FORCE` times the static load."""
+        """Largest force of each actuator [N]: from the vehicle file or, if not defined there, `FORCE` times the static load."""
         return {name: self.pushed.limits.actuator_force or FORCE * load for name, load in self.static_loads.items()}
 
     @property
     def assumed(self) -> list[str]:
-        """Sentences that state the assumed values of limits that the file does not contain."""
+        """Sentences that state which values are assumed for limits that the vehicle file does not contain."""
         most, force, texts = (
             brief(1e3 * max(map(min, self.strokes.values()))),
             three_digits(max(self.forces.values())),
@@ -167,8 +174,8 @@ class Task:
 
     @cached_property
     def sensors(self) -> tuple[str, ...]:
-        """Signals with noise or quantisation in the vehicle file, or measured by its controllers; if there are none, travels
-        and accelerations.
+        """Signals that have noise or quantisation in the vehicle file, or that its controllers measure; by default, travels and
+        accelerations.
         """
         model, how = self.vehicle.linear_model, self.vehicle.implementation
         named = [*how.noise, *how.quantisation, *(name for one in self.vehicle.controllers.values() for name in one.measured)]
@@ -178,7 +185,7 @@ class Task:
 
     @cached_property
     def groups(self) -> Mapping[str, tuple[str, ...]]:
-        """Groups of sensors that measure the same quantity at different corners, by name of the quantity."""
+        """Groups of sensors that measure one quantity at different corners, by name of the quantity."""
         endings = sorted({one.ending for one in self.vehicle.kind.suspensions if one.ending}, key=len, reverse=True)
         groups: dict[str, tuple[str, ...]] = {}
         for name in self.sensors:
@@ -188,17 +195,17 @@ class Task:
 
     @property
     def letters(self) -> Mapping[str, str]:
-        """Letter for each group of sensors, by name of the group."""
+        """Letter that denotes each group of sensors, by name of the group."""
         return dict(zip(self.groups, ascii_lowercase, strict=False))
 
     def given_noise(self, measured: Sequence[str]) -> list[float]:
-        """Returns the rms noise of each sensor from the file; 0 if the file contains none."""
+        """Returns the noise rms of each sensor from the vehicle file; 0 if the file states none."""
         how = self.vehicle.implementation
         return [how.noise.get(name) or how.quantisation.get(name, 0.0) / math.sqrt(12) for name in measured]
 
     def noise_of(self, measured: Sequence[str]) -> Array:
-        """Returns each sensor's noise density, relative to that of the road velocity; the noise is that of the file, or else
-        `NOISE` times the signal.
+        """Returns each sensor's noise density relative to that of the road velocity; noise that the file does not state is
+        `NOISE` times the signal's rms.
         """
         given = zip(measured, self.given_noise(measured), strict=True)
         sizes = [noise or NOISE * self.rms[name] for name, noise in given]
@@ -210,9 +217,9 @@ class Contender:
     """Contender for a recommendation.
 
     Attributes:
-        name: name of the candidate's family, as in the table.
-        controller: controller that the candidate uses.
-        vehicle: vehicle that is controlled; a passive candidate has a different damper and spring.
+        name: name of the candidate's family in the table.
+        controller: controller of the candidate.
+        vehicle: vehicle that the candidate controls; a passive candidate has a different damper and spring.
         setting: text that states the parameter values of the candidate.
         own: True for a controller that the vehicle file already contains.
     """
@@ -225,5 +232,5 @@ class Contender:
 
     @property
     def pushes(self) -> bool:
-        """True if the controller uses force actuators."""
+        """True if the candidate's controller uses force actuators."""
         return self.controller.acts and not self.vehicle.dampers

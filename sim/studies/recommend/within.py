@@ -1,4 +1,4 @@
-"""Limits that a recommended controller must keep: stroke, force, stability margins, and contact of the tyres with the road."""
+"""Limits that a recommended controller must keep: stroke, force, stability margins, and tyre contact with the ground."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -17,16 +17,16 @@ Share = Annotated[float, SI(high=1.0, more=", as in stroke=95%, or none")]
 
 
 class Usage(NamedTuple):
-    """Quantities of a candidate that are compared with the limits.
+    """Quantities of a candidate controller that are compared with the limits.
 
     Attributes:
-        stroke: largest peak travel relative to the stroke in its direction (bump or rebound).
-        force: largest peak force relative to the largest allowed force.
-        gain_margin: smallest factor by which all forces must be multiplied or divided until the loop becomes unstable; at most
+        stroke: largest peak travel relative to the available stroke in the same direction (bump or rebound).
+        force: largest peak force of an actuator, relative to the largest allowed force.
+        gain_margin: smallest factor by which all forces must be multiplied or divided to make the loop unstable; at most
             `MOST_GAIN`.
-        disk: symmetric disk margin, from 0 to 2.
-        off_ground: share of the time in which a tyre does not touch the ground.
-        passive_off_ground: value of `off_ground` for the passive vehicle; every candidate may reach this share.
+        disk: symmetric disk margin of the loop, from 0 to 2.
+        off_ground: share of the measured time in which a tyre does not touch the ground.
+        passive_off_ground: value of `off_ground` for the passive vehicle; a candidate may always reach this share.
     """
 
     stroke: float
@@ -39,17 +39,17 @@ class Usage(NamedTuple):
 
 @dataclass(frozen=True)
 class Within(CheckedFields):
-    """Limits on a recommended controller; None for a limit that is not used.
+    """Limits that a recommended controller must keep; None for a limit that is not used.
 
     Attributes:
-        stroke, force: largest share of the stroke, and of the largest force, that a controller may use.
-        gain_margin: smallest allowed gain margin, as a factor: the loop must be stable if all forces are multiplied or divided
-            by a smaller factor.
-        disk: smallest allowed symmetric disk margin.
-        off_ground: largest allowed share of the time in which a tyre does not touch the ground.
+        stroke, force: largest share of the available stroke, and of the largest force, that a controller may use.
+        gain_margin: smallest allowed gain margin: the loop must remain stable if all forces are multiplied or divided by any
+            smaller factor.
+        disk: smallest allowed value of the symmetric disk margin.
+        off_ground: largest allowed share of the measured time in which a tyre does not touch the ground.
 
     Raises:
-        InputError: a limit is not allowed.
+        InputError: the value of a limit is not allowed.
     """
 
     public_name = "limits of a Recommendation"
@@ -61,8 +61,8 @@ class Within(CheckedFields):
     off_ground: Share | None = 1e-3
 
     def used(self, usage: Usage, reserve: float = 0.0) -> dict[str, float]:
-        """Returns the used share of each limit, 1 if the limit is reached; `reserve` is the share of stroke and force that is
-        kept in reserve.
+        """Returns the used share of each limit, which is 1 if the limit is reached; `reserve` is the share of stroke and force
+        to keep unused.
 
         The time off the ground depends on rare tyre loads, so its reserve is larger: `LIFT_RESERVE` if there is any reserve.
         """
@@ -79,7 +79,7 @@ class Within(CheckedFields):
 
     @property
     def text(self) -> str:
-        """Text that lists the limits."""
+        """Text that lists all limits."""
         decibels = None if self.gain_margin is None else 20 * math.log10(self.gain_margin)
         pairs = {"stroke": (self.stroke, 100, " %"), "force": (self.force, 100, " %"), "gain margin": (decibels, 1, " dB")}
         pairs |= {"disk margin": (self.disk, 1, ""), "off the ground": (self.off_ground, 100, " %")}
@@ -88,10 +88,11 @@ class Within(CheckedFields):
 
 
 def read_within(text: str) -> Within:
-    """Returns the limits from a text such as `stroke=90%,force,disk=3dB,off_ground=none`; other limits have their defaults.
+    """Returns the limits from a text such as `stroke=90%,force,disk=3dB,off_ground=none`; limits that are not named have
+    default values.
 
     Raises:
-        InputError: a name is unknown or given twice, or a value is not allowed.
+        InputError: the name of a limit is unknown or appears twice, or a value is not allowed.
     """
     usual, given = asdict(Within()), dict[str, float | None]()
     with error_in("--within:"):

@@ -1,11 +1,11 @@
-"""Signals between their samples as polynomials, which give extrema, crossings and integrals without sampling errors.
+"""Signals as polynomials between their samples, which give extrema, crossings and integrals without sampling errors.
 
-A signal consists of pieces with one polynomial each. A piece is one timestep long, or shorter while wheels pass kinks of the
-road that are only a few steps apart. A linear response is known exactly at any time, so enough points for a polynomial of high
-degree exist in each piece. A polynomial of degree 8 describes a mode that advances by 1 rad per step with an error of 1e-11. A
-MuJoCo signal is known only at its samples. Each piece is then a cubic through the four nearest samples; a held force is
-constant from one sample to the next. No polynomial crosses a vertical edge of the road or a switching instant
-(`sim.drive.jumps`), where a signal has one value on each side.
+A signal consists of pieces, each described by one polynomial. A piece is one timestep long, or shorter if the wheels pass kinks
+of the road that are only a few steps apart. A linear response can be computed exactly at any time, so that each piece has
+enough points for a polynomial of high degree. If a mode advances by 1 rad per step, a polynomial of degree 8 describes this
+mode with an error of 1e-11. A MuJoCo signal is known only at its samples. Each piece of a MuJoCo signal is a cubic through the
+four nearest samples; a held force is constant from one sample to the next. No polynomial extends across a vertical edge of the
+road or a switching instant (`sim.drive.jumps`), because the signal may have two values there.
 """
 
 import itertools
@@ -48,7 +48,7 @@ class Pieces:
     values: Array
 
     def less(self, value: float) -> "Pieces":
-        """Returns the signal minus a constant."""
+        """Returns the signal after a constant is subtracted."""
         return replace(self, values=self.values - value)
 
     def times(self, factor: float) -> "Pieces":
@@ -56,41 +56,41 @@ class Pieces:
         return replace(self, values=self.values * factor)
 
     def before(self, whole: "Pieces", steps: int) -> "Pieces":
-        """Returns these pieces, followed by all pieces of `whole` except its first `steps` pieces."""
+        """Returns the pieces of this object, followed by all pieces of `whole` except its first `steps` pieces."""
         if self.values.shape[1] != whole.values.shape[1]:
             return whole
         both = ((getattr(self, name), getattr(whole, name)[steps:]) for name in ("start", "length", "values"))
         return Pieces(*map(np.concatenate, both))
 
     def since(self, time: float) -> "Pieces":
-        """Returns the pieces that begin at a time [s] or later."""
+        """Returns the pieces of the signal that begin at a time [s] or later."""
         later = self.start >= time
         return replace(self, start=self.start[later], length=self.length[later], values=self.values[later])
 
     def counted_from(self, time: float) -> "Pieces":
-        """Returns the pieces that begin at a time [s] or later, with times relative to this time."""
+        """Returns the pieces of the signal that begin at a time [s] or later; times in the result are relative to this time."""
         if not time:
             return self
         later = self.since(time - EARLY * float(self.length[0]))
         return replace(later, start=later.start - time)
 
     def rms(self) -> float:
-        """Returns the root mean square of the signal over all pieces."""
+        """Returns the root mean square of the signal over the duration of all pieces."""
         points = self.values.shape[1]
         nodes, weights = np.polynomial.legendre.leggauss(points)
         at_nodes = self.values @ (chebyshev.chebvander(nodes, points - 1) @ _fit(points)).T
         return float(np.sqrt(self.length @ (at_nodes**2 @ weights / 2) / self.length.sum()))
 
     def polynomial(self, k: int) -> Array:
-        """Returns the Chebyshev coefficients of piece `k`, for a variable from -1 to 1."""
+        """Returns the Chebyshev coefficients of piece `k`, as a function of a variable from -1 to 1."""
         return _fit(self.values.shape[1]) @ self.values[k]
 
     def time(self, k: int, x: float) -> float:
-        """Returns the time [s] of a point in piece `k`; x = -1 is the start of the piece, and x = 1 the end."""
+        """Returns the time [s] of the point x in piece `k`; x is -1 at the start of the piece and 1 at its end."""
         return float(self.start[k] + self.length[k] * (x + 1) / 2)
 
     def at(self, times: Array) -> Array:
-        """Returns the values of the signal at given times [s], with the shape of `times`."""
+        """Returns the values of the signal at some times [s], with the shape of `times`."""
         after = np.searchsorted(self.start, times + ROUNDING * self.length[0], side="right")
         k = np.clip(after - 1, 0, len(self.start) - 1)
         x = 2 * (times - self.start[k]) / self.length[k] - 1
@@ -99,7 +99,7 @@ class Pieces:
         return (chebyshev.chebvander(x, points - 1) * coefficients).sum(axis=-1)
 
     def largest(self) -> tuple[float, float]:
-        """Returns the largest value of the signal, and the time of this value [s]."""
+        """Returns the largest value of the signal, and the time at which this value occurs [s]."""
         most, spread = self.values.max(axis=1), np.ptp(self.values, axis=1)
         floor, first = float(most.max()), int(most.argmax())
         possible = np.flatnonzero(most + BULGE * spread >= floor)
@@ -108,10 +108,10 @@ class Pieces:
         return max([found, *map(self._largest_in, likeliest)], key=lambda one: one[0])
 
     def last_above(self, value: float) -> float | None:
-        """Returns the last time [s] at which the magnitude of the signal exceeds a value.
+        """Returns the last time [s] at which the magnitude of the signal exceeds a threshold.
 
-        The time is infinite if the magnitude exceeds the value at the end of the signal. The result is None if the magnitude
-        never exceeds the value.
+        The time is infinite if the magnitude exceeds the threshold at the end of the signal. The result is None if the
+        magnitude never exceeds the threshold.
         """
         size = np.abs(self.values)
         outside = size.max(axis=1) > value
@@ -129,7 +129,9 @@ class Pieces:
         return self.time(last, max(crossings, default=1.0))
 
     def integral_of_size(self) -> tuple[float, float]:
-        """Returns two integrals over all pieces: of the magnitude |x|, and of the product t |x| with the time t."""
+        """Returns the integral of the magnitude |x| of the signal, and the integral of t |x| with the time t, both over all
+        pieces.
+        """
         points = self.values.shape[1]
         weights, lengths = _integral(points) / 2, self.length[:, None]
         at = self.start[:, None] + lengths * (np.linspace(-1, 1, points) + 1) / 2
@@ -150,7 +152,7 @@ class Pieces:
         return float(plain.sum()), float(timed.sum())
 
     def _largest_in(self, k: int) -> tuple[float, float]:
-        """Returns the largest value in piece `k`, and its time [s]."""
+        """Returns the largest value of the signal in piece `k`, and the time at which this value occurs [s]."""
         coefficients = self.polynomial(k)
         at = np.array([-1.0, *_roots(chebyshev.chebder(coefficients)), 1.0])
         values = chebyshev.chebval(at, coefficients)
@@ -159,14 +161,16 @@ class Pieces:
 
 
 def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
-    """Returns signals of the continuous linear response of a run, exact between samples; empty if there is no such response.
+    """Returns signals of the continuous-time linear response of a run, exact between samples; empty if there is no such
+    response.
 
-    If the road velocity has a kink within a piece, the error of the polynomial is 1e-3 of the effect of this kink. If kinks are
-    only a few steps apart, the steps until the last wheel has passed all of these kinks are divided into shorter pieces.
+    If the road velocity has a kink within a piece, the error of the polynomial is 1e-3 of the kink's effect on the signal. If
+    kinks are only a few steps apart, the steps until the last wheel has passed all of these kinks are divided into shorter
+    pieces.
 
     Args:
-        run: run whose signals are returned.
-        signals: names of the signals.
+        run: run whose signals are computed.
+        signals: names of the signals to return.
     """
     if run.vehicle.dampers:
         return {}
@@ -189,11 +193,11 @@ def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
 
 
 def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> dict[str, Pieces]:
-    """Returns signals of the continuous response over the first steps of a run.
+    """Returns signals of the continuous-time response over the first timesteps of a run.
 
     Args:
-        run: run whose signals are returned.
-        signals: names of the signals.
+        run: run whose signals are computed.
+        signals: names of the signals to return.
         steps: number of timesteps at the start of the run.
         cut: number of pieces per timestep.
     """
@@ -228,12 +232,12 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
 
 
 def _cut_at(pieces: Pieces, jumps: Sequence[float], behind: bool) -> Pieces:
-    """Returns the pieces, divided at jumps of the signal. Each polynomial uses only points on one side of a jump.
+    """Returns the pieces after division at jumps of the signal. Each polynomial uses only points on one side of the jump.
 
     Args:
-        pieces: pieces of the signal. A point at the time of a jump has the value before the jump.
-        jumps: times of the jumps [s], ascending.
-        behind: True if the first point of a piece that begins at a jump already has the value after the jump.
+        pieces: pieces of the signal. A point at the time of a jump contains the value before the jump.
+        jumps: times at which the signal jumps [s], ascending.
+        behind: True if a piece that begins at a jump already has the value after the jump at its first point.
     """
     for at in (one for one in jumps if 0 <= one < pieces.start[-1]):
         near = EARLY * pieces.length[0]
@@ -255,13 +259,13 @@ def _cut_at(pieces: Pieces, jumps: Sequence[float], behind: bool) -> Pieces:
 
 
 def interpolated_signals(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str, Pieces]:
-    """Interpolates signals that are known only at samples: held forces are constant over each timestep, other signals are
+    """Interpolates signals that are known only at samples: held forces are constant during each timestep, other signals are
     cubics between jumps.
 
     Args:
-        run: run whose signals are returned.
-        response: response of the run, for example that of MuJoCo.
-        signals: names of the signals.
+        run: run whose signals are computed.
+        response: response of a run, for example the MuJoCo response.
+        signals: names of the signals to return.
     """
     time, h, road = response.time, run.prediction.timestep, run.prediction.input
     held = set() if run.vehicle.limits.actuator_bandwidth is not None else set(run.vehicle.linear_model.inputs)
@@ -281,7 +285,7 @@ def interpolated_signals(run: Run, response: Response, signals: tuple[str, ...])
 
 
 def _cubics(values: Array) -> Array:
-    """Returns four points of a cubic for each step, shape (T - 1, 4). The cubic goes through the four nearest samples."""
+    """Returns four points of a cubic for each timestep, shape (T - 1, 4). The cubic goes through the four nearest samples."""
     count = len(values)
     near = min(count, 4)
     first = np.clip(np.arange(count - 1) - 1, 0, count - near)
@@ -297,12 +301,12 @@ def _cubics(values: Array) -> Array:
 
 
 def _fit(points: int) -> Array:
-    """Returns the matrix that converts values at equidistant points to Chebyshev coefficients."""
+    """Returns the matrix that converts the values of a polynomial at equidistant points to Chebyshev coefficients."""
     return np.linalg.inv(chebyshev.chebvander(np.linspace(-1, 1, points), points - 1))
 
 
 def _integral(points: int) -> Array:
-    """Returns the weights of equidistant values that give the integral from -1 to 1."""
+    """Returns weights for equidistant values; the weighted sum of the values is the integral from -1 to 1."""
     even = np.array([2 / (1 - j * j) if j % 2 == 0 else 0.0 for j in range(points)])
     return even @ _fit(points)
 

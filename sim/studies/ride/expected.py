@@ -1,38 +1,42 @@
-"""Expected metrics of a linear vehicle on a random road, and the remaining transient when the measurement begins.
+"""Expected metrics of a linear vehicle on a random road, and the transient that remains when the measurement begins.
 
 The vertical road velocity is white noise within a frequency band, with the one-sided spectrum G_v = (2 pi n0)^2 G_d(n0) V per
-Hz at the speed V. Rear wheels reach each point of the road later, and left and right track are coherent to the degree that the
-road defines. The road velocity at wheel j is therefore a combination e_j(omega) of two independent white sources. If H is the
+Hz at the speed V. Rear wheels reach each point of the road later, and the road defines the coherence of its left and right
+tracks. The road velocity at wheel j is therefore a combination e_j(omega) of two independent white sources. If H is the
 frequency response of the implemented loop, the spectrum and the covariance of outputs i and k are
 
     S_ik(omega) = G_v sum over sources of (H e)_i conj(H e)_k,    cov(i, k) = integral of Re S_ik df.
 
 If the sample period of the controller is several timesteps, the loop is periodic, and H has a value for each step of a period.
 A sinusoidal road then causes aliases (images) at omega + 2 pi k / period, and each image is weighted at its own frequency. A
-spectrum is a function of the road frequency omega. The spectrum includes the images, because it is |H e|^2 at each step of the
-period. The mean of this spectrum over the steps is the sum over the images (Parseval). Means over time are computed as means
-over the steps. Spreads and largest values are computed from the mean spectrum.
+spectrum is a function of the road frequency omega. The spectrum includes the images, because |H e|^2 is computed at each step
+of the period. The mean of the spectrum over the steps of a period is the sum over the images (Parseval). Means over time are
+computed as means over the steps of a period. Standard deviations from road to road, and largest values, are computed from the
+mean spectrum.
 
-The band contains the frequency lines of the road, and extends half a line spacing beyond both ends. The integral over this band
-then equals the sum over the lines, to second order in their spacing. Signals are Gaussian (`gaussian.py`). For a stationary
-linear run, expected values of mean quantities are exact. These are mean squares (including the tyre load, which is never
-negative), shares of time, and power and energy of held forces. The integral in the vibration dose value (VDV) is also exact,
-because E a^4 = 3 sigma^4 for a Gaussian acceleration a. For nonlinear springs and dampers, equivalent lines are used
-(`statistical_linearisation.py`), which is an approximation.
+The band contains all frequency lines of the road, and extends half a line spacing beyond the first and the last line. The
+integral over the band then equals the sum over the lines, to second order in the line spacing. Signals are assumed to be
+Gaussian (`gaussian.py`). For a stationary linear run, the expected values of mean quantities are exact. Mean quantities are
+mean squares (including the tyre load, which is never negative), shares of time, and power and energy of held forces. The
+integral in the vibration dose value (VDV) is also exact, because E a^4 = 3 sigma^4 for a Gaussian acceleration a. For a vehicle
+with nonlinear springs and dampers, equivalent linear characteristics are used (`statistical_linearisation.py`), which is an
+approximation.
 
-Expected largest values are approximate. These values are too large if the window is short compared with the decay time of the
-vehicle. These errors were found by comparison with linear responses over 200 roads, for three built-in vehicles with `passive`,
-`I` and `II`, at 10, 20 and 35 m/s over 10 s. The errors are at most 2.5 % for MTVV, 5 % for crest factors, 7 % for peaks, and 12
-% for the travel of the passive quarter-car. The expected values are too large, except crest factors of well damped loops: these
-are up to 4 % too small, and up to 7 % for windows of 3 s. For light damping (100 N s/m, 10 to 35 m/s, 3 and 10 s), all values are
-too large by up to 8 % (VDV), 9 % (MTVV), 14 % (crest factors) and 23 % (largest travel). The spread from road to road is then up
-to 45 % too large, because its formula assumes a window much longer than the decay time.
+The expected values of largest magnitudes are approximate. The expected values of largest magnitudes are too large if the window
+is short compared with the decay time of the vehicle. The errors of the expected values were found by comparison with linear
+responses over 200 roads. The comparison covers three built-in vehicles with the controllers `passive`, `I` and `II`, at 10, 20
+and 35 m/s over 10 s. The errors are at most 2.5 % for MTVV, 5 % for crest factors, 7 % for peaks, and 12 % for the travel of
+the passive quarter-car. The expected values are too large, except crest factors of well-damped loops. Crest factors of
+well-damped loops are up to 4 % too small, and up to 7 % for windows of 3 s. For light damping (100 N s/m, 10 to 35 m/s, 3 and
+10 s), expected values are too large by up to 8 % (VDV), 9 % (MTVV), 14 % (crest factors) and 23 % (largest travel). With light
+damping, the standard deviation from road to road is up to 45 % too large. The formula for this standard deviation assumes a
+window much longer than the decay time.
 
 When the measurement begins, the transient has not decayed completely. The response to a line of the road is its steady-state
-response minus a free response. The free response starts from the steady-state value of the state at the time when a wheel
+response minus a free response. The free response starts from the steady-state value of the states at the time when a wheel
 enters the road. X_j is the complex amplitude of the states per unit road velocity at wheel j. x0_j is the equilibrium of the
-states if this wheel is raised by 1 m. L is the transition matrix over one sample. Wheel j has been on the road for k_j samples.
-The value of a signal with output row C at time t is a sum over the wheels on the road:
+states if wheel j is raised by 1 m. L is the transition matrix over one sample. k_j is the number of samples for which wheel j
+has been on the road. The value of a signal with output row C at time t is a sum over the wheels on the road:
 
     A exp(j omega t) - B,    A = sum over j of (C X_j + Cr_j / j omega) e_j,
     B = sum over j of (C L^k_j (X_j - x0_j / j omega) + (C x0_j + Cr_j) / j omega) e_j at the start,
@@ -41,7 +45,8 @@ The phases of the lines are independent, so the variance is the integral over th
 
     |A|^2 + |B|^2 - 2 Re A conj(B) exp(j omega t).
 
-The variance can exceed its final value, because the start excites modes that are slower than the lowest line of the road.
+The variance can exceed its final value, because the start of the road excites modes that are slower than the lowest line of the
+road.
 """
 
 import math
@@ -72,10 +77,10 @@ STILL = 1e-12  # a signal counts as zero if its variance is smaller than this, r
 
 @dataclass(frozen=True)
 class RemainingTransient:
-    """The measured signal whose variance differs most from its final value when the measurement begins.
+    """The measured signal whose variance at the start of the measurement differs most from the signal's final variance.
 
     Attributes:
-        share: variance relative to its final value; may exceed 1.
+        share: variance of the signal relative to its final value; may exceed 1.
         signal: name of the signal.
     """
 
@@ -86,17 +91,17 @@ class RemainingTransient:
 def remaining_transient(
     vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, start: float
 ) -> RemainingTransient | None:
-    """Returns the measured signal whose variance differs most from its final value when the measurement begins.
+    """Returns the measured signal whose variance at the start of the measurement differs most from the signal's final variance.
 
-    Returns None for an unstable loop, for a nonlinear law, and for a preview controller if the vehicle has rear wheels.
+    Returns None for an unstable loop, for a nonlinear law, and for a preview controller of a vehicle with rear wheels.
 
     Args:
         vehicle: vehicle that the controller controls.
         controller: controller of this vehicle.
-        road: spectrum of the road; the roughness has no effect.
+        road: spectrum of the road; the roughness has no effect on the result.
         timestep: timestep of the sampled loop [s].
-        start: time at which the measurement begins [s]. This time and the delays of rear wheels are rounded to whole samples of
-            the controller.
+        start: time at which the measurement begins [s]. The start time and the delays of rear wheels are rounded to an integer
+            number of controller samples.
     """
     shares = settled_shares(vehicle, controller, road, timestep, start)
     if not shares:
@@ -108,9 +113,9 @@ def remaining_transient(
 def settled_shares(
     vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, start: float
 ) -> dict[str, float]:
-    """Returns the variance of all measured signals that move, relative to their final values, by name.
+    """Returns the variance of each measured signal that moves, relative to the signal's final variance, by name.
 
-    Arguments are those of `remaining_transient`. The result is empty if `remaining_transient` returns None.
+    The arguments are those of `remaining_transient`. The result is empty if `remaining_transient` returns None.
     """
     if not is_linear(controller, vehicle) or radius(whole := loop_of(vehicle, controller, timestep)) >= 1:
         return {}
@@ -129,12 +134,14 @@ def settled_shares(
     left_behind = {k: C @ np.linalg.matrix_power(loop, sample - k) for k in set(late[here].tolist())}
 
     def states(omega: Array) -> tuple[Array, Array]:
-        """Returns the responses from the road velocity at each wheel to the states at the samples and to the outputs."""
+        """Returns the frequency responses from the road velocity at each wheel to the states at the samples and to the
+        outputs.
+        """
         X = harmonic_states(*driven_loop(vehicle, controller, omega, timestep), omega)
         return X, C @ X + Cr / (1j * omega[:, None, None])
 
     def amplitudes(omega: Array) -> Array:
-        """Returns A and B of the module docstring for both sources, shape (F, 2 p, 2)."""
+        """Returns A and B of the module docstring for both road sources, shape (F, 2 p, 2)."""
         X, steady = states(omega)
         s, left = 1j * omega[:, None, None], np.zeros((len(omega), len(C), len(late)), dtype=complex)
         for j in np.flatnonzero(here):
@@ -143,7 +150,7 @@ def settled_shares(
         return np.concatenate([steady[..., here] @ (inputs * shares)[:, here], left @ shares], axis=1)
 
     def final(omega: Array) -> Array:
-        """Returns the final variance per Hz with all wheels on the road, shape (F, p)."""
+        """Returns the final variance density per Hz when all wheels are on the road, shape (F, p)."""
         wheel_roads = as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
         return power_of(states(omega)[1] @ wheel_roads)
 
@@ -173,14 +180,15 @@ EXACT = 1e-4  # the error of an integral is reported if it exceeds this share of
 
 @dataclass(frozen=True, eq=False)
 class ExpectedMetrics:
-    """Expected metrics of a run over random roads with the same spectrum.
+    """Expected metrics of a run over all random roads with the same spectrum.
 
     Attributes:
-        mean: expected value, by metric. For an rms, this is the root of the expected mean square; for the VDV, the fourth root of
-            the expected integral. The mean of an rms over roads is lower than this value by half the relative variance of the
-            rms. The mean of a VDV is lower by 1.5 times its relative variance.
+        mean: expected value of each metric, by name. For an rms, the expected value is the root of the expected mean square.
+            For the VDV, the expected value is the fourth root of the expected integral. The mean of an rms over roads is lower
+            than the root of the expected mean square, by half the relative variance of the rms. The mean of a VDV over roads is
+            lower than the fourth root of the expected integral, by 1.5 times the relative variance of the VDV.
         spread: standard deviation of each rms metric between random roads, by metric.
-        error: upper estimate of the relative error of the integrals, which is reported if it exceeds `EXACT`.
+        error: upper estimate of the relative error of the integrals; this error is reported if it exceeds `EXACT`.
         line: linear vehicle from which the expected values are computed (`statistical_linearisation.py`).
     """
 
@@ -191,9 +199,10 @@ class ExpectedMetrics:
 
 
 def settling_time(vehicle: Vehicle, controller: AnyController) -> float:
-    """Returns the time [s] after which the variance of the slowest mode is within the share `FORGOTTEN` of its final value.
+    """Returns the time [s] after which the variance of the slowest mode differs from its final value by at most the share
+    `FORGOTTEN`.
 
-    The time is infinite for an unstable loop and for a nonlinear law.
+    The settling time is infinite for an unstable loop and for a nonlinear law.
     """
     if not is_linear(controller, vehicle):
         return math.inf
@@ -201,7 +210,9 @@ def settling_time(vehicle: Vehicle, controller: AnyController) -> float:
 
 
 def passive_settling_time(vehicle: Vehicle) -> float:
-    """Returns the settling time of the vehicle without control [s], see `settling_time`; infinite if it is unstable."""
+    """Returns the settling time of the vehicle without control [s], as defined in `settling_time`; infinite if this vehicle is
+    unstable.
+    """
     return _settling_time(vehicle.linear_model.A)
 
 
@@ -212,14 +223,14 @@ def _settling_time(A: Array) -> float:
 
 @one_thread()
 def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, window: float) -> ExpectedMetrics | None:
-    """Returns the expected metrics; None if the loop is unstable or nonlinear, or if no linear equivalent is found.
+    """Returns the expected metrics of a run; None if the loop is unstable or nonlinear, or if no linear equivalent is found.
 
     Args:
         vehicle: vehicle that the controller controls.
         controller: controller of this vehicle.
         road: spectrum of the road.
         timestep: timestep of the sampled loop [s].
-        window: duration of the measurement over which metrics are computed [s].
+        window: duration of the measurement from which metrics are computed [s].
     """
     if not is_linear(controller, vehicle):
         return None
@@ -264,7 +275,7 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
         return road.density * np.moveaxis(powers, 0, 1)
 
     def checked(_: Array, spectra_by_step: Array) -> Array:
-        """Returns the spectra that cannot be negative, averaged over the steps of a period."""
+        """Returns the spectra that cannot be negative, each averaged over the steps of a period."""
         return spectra_by_step[:, :, : len(index) + len(ride)].mean(axis=1)
 
     band = sample_band(spectra, checked, low, high, poles, longest_panel(vehicle, road.speed, controller.ahead))
@@ -310,14 +321,14 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
 
 
 def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledWk) -> Array:
-    """Returns the amplitudes of signals weighted by W_k, with the shape of `at_steps`. Each image is weighted at its own
-    frequency.
+    """Returns the amplitudes of signals after frequency weighting with W_k, with the shape of `at_steps`. Each image is
+    weighted with W_k at its own frequency.
 
     Args:
-        at_steps: amplitudes of `a` signals due to both sources at each step of a period, shape (steps, F, a, 2).
+        at_steps: amplitudes of `a` signals caused by both road sources at each step of a period, shape (steps, F, a, 2).
         omega: frequencies of the road [rad/s], shape (F,).
-        timestep: length of a step [s].
-        weigh: frequency weighting W_k for sampled signals.
+        timestep: duration of a step [s].
+        weigh: function for the frequency weighting W_k of sampled signals.
     """
     steps = np.arange(len(at_steps))[:, None]
     turn = np.exp(1j * omega * timestep * steps)[..., None, None]
@@ -330,13 +341,14 @@ def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
     """Returns the spectra that determine the work of an actuator in each step of a period.
 
     Args:
-        force: force amplitudes for both sources at each step and at the first step of the next period [N], shape
+        force: force amplitudes due to both road sources, at each step and at the first step of the next period [N], shape
             (steps + 1, F, 2).
-        travel: amplitudes of the travel of the actuator's suspension [m], shape (steps + 1, F, 2).
-        lags: True if the force changes within a step, False if it is held.
+        travel: amplitudes of the travel of the actuator's suspension due to both road sources [m], shape (steps + 1, F, 2).
+        lags: True if the force changes within a step, False if the force is held.
 
     Returns:
-        Cospectrum of force and change of travel, spectrum of the force, and spectrum of the change, shape (steps, F, 3).
+        Cospectrum of the force and the change of travel, spectrum of the force, and spectrum of the change, shape (steps, F,
+        3).
     """
     acting, change = (force[:-1] + force[1:]) / 2 if lags else force[:-1], np.diff(travel, axis=0)
     cospectrum = np.sum(np.real(acting * np.conj(change)), axis=-1)
@@ -344,13 +356,13 @@ def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
 
 
 def work_rate(covariance: Array, force: Array, change: Array, *, mean: float) -> tuple[float, float]:
-    """Returns the expected work of an actuator per step and the expected positive part of this work [J], averaged over the
-    steps of a period.
+    """Returns an actuator's expected work per step, and the expected positive part of this work [J], averaged over the steps of
+    a period.
 
     Args:
-        covariance: covariance of force and change of travel in each step [J], shape (steps,).
-        force, change: variances of force [N^2] and change of travel [m^2], shape (steps,).
-        mean: mean of the force [N].
+        covariance: covariance of the force and the change of travel in each step [J], shape (steps,).
+        force, change: variances of the force [N^2] and of the change of travel [m^2] in each step, shape (steps,).
+        mean: mean value of the force [N].
     """
     steps = zip(covariance.tolist(), np.sqrt(force).tolist(), np.sqrt(change).tolist(), strict=True)
     return float(covariance.mean()), float(np.mean([positive_part(*step, mean) for step in steps]))

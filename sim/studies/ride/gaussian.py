@@ -1,22 +1,23 @@
 """Statistics of a Gaussian signal with zero mean over a window of duration T, computed from the spectrum of the signal.
 
 The signal is stationary or cyclostationary. Some statistics are exact: mean squares (also of the clipped signal min(x, s)),
-fourth powers, shares of time beyond a threshold, and mean positive parts of products. For example, if a = s / sigma, phi is the
-density of the normal distribution, and Q the tail probability,
+fourth powers, shares of time beyond a threshold, and mean positive parts of products. For example, let a = s / sigma, phi the
+density of the normal distribution, and Q its tail probability. Then
 
     E min(x, s)^2 = sigma^2 (1 - Q(a) - a phi(a) + a^2 Q(a)).
 
-For a cyclostationary signal, the exact statistics are means over the steps of a period. All other statistics use the mean
-spectrum.
+For a cyclostationary signal, the exact statistics are averaged over the steps of a period. All other statistics are computed
+from the mean spectrum.
 
-The formula for the variance of a mean square is asymptotic, for a window much longer than the correlation time. The function
-min(x, s)^2 is a sum of Hermite polynomials of x / sigma. The term of degree k with coefficient c_k contributes (2 / T) c_k^2
-times the integral of rho^k from 0 to infinity, where rho is the autocorrelation. Without clipping, only c_2 is nonzero, and the
-variance is the integral of S^2 df / T.
+The formula for the variance of a mean square is asymptotic: it applies to a window much longer than the correlation time. The
+function min(x, s)^2 is a sum of Hermite polynomials of x / sigma. Let rho be the autocorrelation of the signal. The term of
+degree k with coefficient c_k contributes (2 / T) c_k^2 times the integral of rho^k from 0 to infinity. Without clipping, only
+c_2 is nonzero, and the variance of the mean square is the integral of S^2 df / T.
 
-The other statistics are approximate. The largest magnitude has Vanmarcke's distribution for both barriers (E. H. Vanmarcke
-(1975), J. Appl. Mech. 42, 215-220). The running mean square has an exact variance. The distribution of the running mean square is
-assumed to be a gamma distribution. Its fluctuations are assumed to be like those of a Gaussian signal with the same spectrum.
+The statistics of largest values are approximate. The largest magnitude has Vanmarcke's distribution for a double barrier (E. H.
+Vanmarcke (1975), J. Appl. Mech. 42, 215-220). The variance of the running mean square is exact. The distribution of the running
+mean square is assumed to be a gamma distribution. The fluctuations of the running mean square are assumed to resemble those of
+a Gaussian signal with the same spectrum.
 """
 
 import math
@@ -41,9 +42,9 @@ class Gaussian:
     """A Gaussian signal, defined by its one-sided spectrum S at frequencies with quadrature weights.
 
     Attributes:
-        by_step: spectrum S [unit^2/Hz] at each step of its period, shape (steps, F).
+        by_step: spectrum S [unit^2/Hz] at each step of the signal's period, shape (steps, F).
         omega: ascending frequencies [rad/s], shape (F,).
-        share: weight of each frequency in integrals over the frequency [Hz], shape (F,).
+        share: weight of each frequency when a spectrum is integrated over frequency [Hz], shape (F,).
     """
 
     by_step: Array
@@ -52,22 +53,22 @@ class Gaussian:
 
     @cached_property
     def spectrum(self) -> Array:
-        """Mean of the spectrum over the steps [unit^2/Hz], shape (F,)."""
+        """Mean of the spectrum over the steps of a period [unit^2/Hz], shape (F,)."""
         return self.by_step.mean(axis=0)
 
     @cached_property
     def sigma(self) -> float:
-        """Standard deviation of the signal, computed from the mean spectrum of all steps."""
+        """Standard deviation of the signal, computed from the mean spectrum over all steps."""
         return float(self.share @ self.spectrum) ** 0.5
 
     @cached_property
     def sigmas(self) -> list[float]:
-        """Standard deviation at each step."""
+        """Standard deviation of the signal at each step of a period."""
         return [float(self.share @ spectrum) ** 0.5 for spectrum in self.by_step]
 
     @property
     def mean_fourth_power(self) -> float:
-        """Mean of the fourth power, E x^4."""
+        """Mean of the signal's fourth power, E x^4."""
         return 3 * statistics.fmean(sigma**4 for sigma in self.sigmas)
 
     def beyond(self, threshold: float) -> float:
@@ -81,7 +82,9 @@ class Gaussian:
         return statistics.fmean(_clipped_square(sigma, clip) for sigma in self.sigmas)
 
     def mean_square_variance(self, window: float, clip: float) -> float:
-        """Returns the variance of the mean of min(x, clip)^2 over a window [s]; it never exceeds the variance at one instant."""
+        """Returns the variance of the mean of min(x, clip)^2 over a window [s]; this variance never exceeds the variance at one
+        instant.
+        """
         if not self.sigma:
             return 0.0
         square = float(self.share @ self.spectrum**2) / (4 * self.sigma**4)  # integral of rho^2 from 0 to infinity
@@ -98,7 +101,9 @@ class Gaussian:
         return self.sigma**4 * total
 
     def largest(self, window: float) -> float:
-        """Returns the expected largest magnitude within a window [s], relative to the standard deviation."""
+        """Returns the expected largest magnitude of the signal within a window [s], relative to the signal's standard
+        deviation.
+        """
         if not self.sigma:
             return 0.0
         m0, m1, m2 = (float(self.share @ (self.omega**k * self.spectrum)) for k in range(3))
@@ -110,7 +115,7 @@ class Gaussian:
         return float(np.trapezoid(1 - np.concatenate([[0.0], below]), LEVELS))
 
     def largest_running(self, window: float, memory: float) -> float:
-        """Returns the expected root of the largest running mean square in a window.
+        """Returns the expected value of the largest running rms in a window.
 
         Args:
             window: duration of the window [s].
@@ -141,7 +146,7 @@ class Gaussian:
 
     @cached_property
     def _mass(self) -> Array:
-        """Variance in frequency bins of width `BIN`, starting at 0 Hz."""
+        """Variance of the signal in frequency bins of width `BIN`, starting at 0 Hz."""
         edges = (self.omega / (2 * np.pi))[:, None] + np.stack([-self.share / 2, self.share / 2], axis=-1)
         total = np.concatenate([[0.0], np.cumsum(self.share * self.spectrum)])
         at = np.concatenate([edges[:1, 0], (edges[1:, 0] + edges[:-1, 1]) / 2, edges[-1:, 1]])
@@ -150,7 +155,7 @@ class Gaussian:
 
     @cached_property
     def _correlation(self) -> tuple[Array, float]:
-        """Autocorrelation rho from lag 0 on, and the spacing of the lags [s]."""
+        """Autocorrelation rho of the signal from lag 0 on, and the spacing of the lags [s]."""
         rho = np.fft.hfft(self._mass, _power_of_two(4 * len(self._mass)))
         half = len(rho) // 2
         return rho[:half] / rho[0], 1 / (BIN * len(rho))
@@ -158,20 +163,19 @@ class Gaussian:
 
 @dataclass(frozen=True, eq=False)
 class RandomSignals:
-    """The signals of a vehicle over all random roads with the same spectrum.
+    """The signals of a vehicle as random variables over all roads with the same spectrum.
 
     Attributes:
-        signal: function that returns a signal for its name.
-        weighted_signal: function that returns the weighted acceleration for the name of an acceleration.
-        window: duration of the measurement [s].
+        signal: function that returns the Gaussian signal for a signal name.
+        weighted_signal: function that returns the weighted acceleration for the name of an acceleration signal.
+        window: duration of the measurement [s], over which metrics are computed.
         timestep: timestep of the signals [s].
         speed: speed of the vehicle [m/s].
-        variance_share: factor by which the variance from road to road is multiplied; below 1 because a road has a finite
-            length.
-        mean: means of the signals whose mean is not zero, by name.
+        variance_share: factor that multiplies the variance from road to road; below 1 because a road has a finite length.
+        mean: means of the signals with a nonzero mean, by name.
         static: static deflection of each tyre [m].
         strokes: strokes in bump and in rebound [m] of each suspension with stops; infinite on a side without a stop.
-        works: expected work per step of each actuator in a suspension, and the expected positive part of this work [J].
+        works: expected work per step of each suspension actuator, and the expected positive part of this work [J].
     """
 
     signal: Callable[[str], Gaussian]
@@ -190,12 +194,12 @@ class RandomSignals:
         return self.mean.get(name, 0.0)
 
     def rms(self, signal: Gaussian, clip: float = math.inf, scale: float = 1.0, offset: float = 0.0) -> tuple[float, float]:
-        """Returns the root of the expected mean square, and its standard deviation from road to road.
+        """Returns the square root of the expected mean square, and the standard deviation of the rms from road to road.
 
         Args:
             signal: Gaussian signal x with zero mean.
             clip: upper limit to which the signal is clipped.
-            scale: factor by which the result is multiplied.
+            scale: factor that multiplies the result.
             offset: mean of the signal, which is added to x.
         """
         square = signal.clipped_mean_square(clip)
@@ -207,17 +211,17 @@ class RandomSignals:
 
 
 def _power_of_two(count: int) -> int:
-    """Returns the smallest power of two that is at least `count`, because other lengths of Fourier transforms are slower."""
+    """Returns the smallest power of two that is at least `count`, because Fourier transforms of other lengths are slower."""
     return 1 << (count - 1).bit_length()
 
 
 def positive_part(covariance: float, x: float, y: float, mean: float = 0.0) -> float:
-    """Returns the mean positive part E max(X Y, 0) of the product of two Gaussian variables.
+    """Returns the mean positive part E max(X Y, 0) of the product of two Gaussian variables X and Y.
 
     Args:
         covariance: covariance of X and Y.
         x, y: standard deviations of X and Y.
-        mean: mean of X; the mean of Y is zero.
+        mean: mean of X; Y has zero mean.
     """
     r = min(max(covariance / (x * y), -1.0), 1.0) if x * y else 0.0
     if not mean:
@@ -233,7 +237,7 @@ def positive_part(covariance: float, x: float, y: float, mean: float = 0.0) -> f
 
 
 def _clipped_square(sigma: float, clip: float) -> float:
-    """Returns E min(x, clip)^2 of a Gaussian variable x with zero mean and standard deviation sigma."""
+    """Returns E min(x, clip)^2 for a Gaussian variable x with zero mean and standard deviation sigma."""
     if not sigma:
         return 0.0
     a = clip / sigma
@@ -242,7 +246,7 @@ def _clipped_square(sigma: float, clip: float) -> float:
 
 
 def _hermite_of_clipped_square(k: int, a: float) -> float:
-    """Returns E min(z, a)^2 He_k(z) of a standard normal variable z for k >= 2, integrated by parts."""
+    """Returns E min(z, a)^2 He_k(z) for a standard normal variable z and k >= 2, obtained by integration by parts."""
     density = math.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
 
     def below(m: int) -> float:

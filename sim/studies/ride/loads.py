@@ -1,4 +1,4 @@
-"""The study of loads on the body: body angles and suspension travel on a flat road under loads, and dive under braking."""
+"""The study of loads on the body, which simulates body angles and suspension travel on a flat road, and dive under braking."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -43,7 +43,7 @@ def loaded_road(loads: Sequence[Load]) -> RoadWithLoads:
 
 
 def duration_of(loads: Sequence[Load]) -> float:
-    """Returns the duration of the runs under loads [s]."""
+    """Returns the duration of the runs with loads on the body [s]."""
     last = max((kink for load in loads for kink in load.kinks), default=0.0)
     return min(max(DURATION, math.ceil(last + AFTER)), LONGEST)
 
@@ -54,9 +54,9 @@ def _dive(vehicle: Vehicle) -> Metric | None:
 
 
 def dives(scope: Subject) -> dict[str, float]:
-    """Returns the largest dive under braking in MuJoCo [deg], by controller; empty for a vehicle that cannot pitch.
+    """Returns the largest dive angle under braking in MuJoCo [deg], by controller; empty for a vehicle that cannot pitch.
 
-    Controllers with an aborted run are omitted.
+    Controllers whose run was aborted are omitted.
     """
     vehicle, controllers = scope.vehicle, [*scope.stable, *scope.laws]
     if (dive := _dive(vehicle)) is None:
@@ -71,7 +71,7 @@ def dives(scope: Subject) -> dict[str, float]:
 
 
 def loads_section(scope: Subject) -> Document:
-    """Returns the section about loads on a flat road: loads over time, angles of the body and suspension travel."""
+    """Returns the section about loads on a flat road, with figures of loads, body angles and suspension travel against time."""
     vehicle, road, names = scope.vehicle, loaded_road(scope.loads), PLUS.join(load.label for load in scope.loads)
     time, angles = sample_times(vehicle, duration_of(scope.loads), scope.timestep), angles_of(vehicle)
     runs = run_controllers(vehicle, [*scope.stable, *scope.laws], road, time)
@@ -111,7 +111,7 @@ def loads_section(scope: Subject) -> Document:
 
 
 def _panels(scope: Subject, road: RoadWithLoads, runs: Sequence[Run], travels: Sequence[str]) -> Iterator[Panel]:
-    """Yields panels over time: first the loads, then the body angles, then the suspension deflections."""
+    """Yields panels with time axes: first the loads, then the body angles, then the suspension deflections."""
     vehicle = scope.vehicle
     acting = load_histories(vehicle, road, runs[0].physics.time)
     assert acting is not None, "a road with loads"
@@ -150,7 +150,7 @@ BRAKING_SUBJECT = "braking"  # subject of the request that computes the pitch an
 
 
 class LoadsStudy(Study[Any]):
-    """Study that adds the response to loads to a report, and computes the dive of each controller under braking."""
+    """Study that adds the response to loads on the body to a report, and computes each controller's dive under braking."""
 
     seconds = 2.0
 
@@ -167,7 +167,7 @@ class LoadsStudy(Study[Any]):
         return {name: (name, scope) for name, one in wanted.items() if one and some}
 
     def run(self, request: tuple[str, Subject], progress: Progress) -> Document | dict[str, float]:
-        """Returns the section about loads, or the dive of each controller."""
+        """Returns the section about loads on the body, or the dive of each controller."""
         name, scope = request
         return dives(scope) if name == BRAKING_SUBJECT else loads_section(scope)
 

@@ -1,21 +1,22 @@
-"""Metrics of a suspension: ride, travel, road holding, and actuator effort, computed block by block during a run.
+"""Metrics of a suspension, such as ride, travel, road holding and actuator effort, computed block by block during a run.
 
 A metric is a class of the registry `METRICS`, with a name, a unit, signals, rules that combine values over time and over runs,
 and an expected value.
 
-A held force jumps at each sample, and the accelerations jump with it. Each sample of an acceleration is the mean of the values
-just before and just after the jump. The value after the jump would not include the mean delay of a held force, which is half a
-step. A loop whose forces cancel most of the spring and damper forces would then seem better by several per cent.
+A held force jumps at each sample, and accelerations jump with the force. Each sample of an acceleration is the mean of the
+values just before and just after the jump of the force. The value after the jump would not include the mean delay of a held
+force, which is half a step. With the value after the jump, a loop whose forces cancel most of the spring and damper forces
+would seem better by several per cent.
 
 The time window of all metrics excludes the transient at the start of a run. The filter for the weighting W_k of ISO 2631-1
-(`sim/studies/ride/weighting.py`) has a delay of three samples. For the filter output at the last three samples of the window, the
-acceleration is extrapolated by a straight line through the last two samples.
+(`sim/studies/ride/weighting.py`) has a delay of three samples. For the last three filter outputs of the window, the
+acceleration is extrapolated by a straight line through its last two samples.
 
-With semi-active dampers, the rms of an acceleration uses the values on both sides of each jump. The rms and the peak of a
-damper force also use both values.
+With semi-active dampers, the rms of an acceleration uses the values before and after each jump of the damper force. The rms and
+the peak of a damper force also use the values before and after each jump.
 
-The angles of the body are linear functions of deflections and road heights (`VehicleKind.angles`). For MuJoCo, which has finite
-angles, the error is of second order in the angle.
+The angles of the body are linear functions of deflections and road heights (`VehicleKind.angles`). The angles in MuJoCo are
+finite, so that the linear functions have an error of second order in the angle.
 """
 
 import math
@@ -45,14 +46,12 @@ PITCH, ROLL = "pitch_angle", "roll_angle"
 
 
 def angles_of(vehicle: Vehicle) -> Mapping[str, Mapping[str, float]]:
-    """Returns the angles of the body [rad], by name; each angle is a weighted sum of signals, given as the weight of each
-    signal.
-    """
+    """Returns, for each body angle by name, the weights of the signals whose weighted sum is the angle [rad]."""
     return vehicle.kind.angles(vehicle.parameters)
 
 
 def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time: float) -> dict[str, float]:
-    """Returns the angles of the body [deg] by name, in the equilibrium of the linear loop under constant loads.
+    """Returns the body angles [deg] by name, in the equilibrium of the linear loop under constant loads.
 
     The result is empty if the loop is unstable or the law is nonlinear.
 
@@ -60,7 +59,7 @@ def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time:
         vehicle: vehicle that the controller controls.
         controller: controller of this vehicle.
         road: road whose loads act on the body.
-        time: time at which the constant loads are taken from the road [s].
+        time: time [s] at which the road's loads are evaluated; the loads are then kept constant.
     """
     if controller.linear is False:
         return {}
@@ -85,9 +84,8 @@ class OverRuns:
     """Rule that combines the values of a metric over several runs.
 
     Attributes:
-        words: name of the rule in texts.
-        of: function that returns the combined value from the values of R runs and their measured distances [m], shape (R,)
-            each.
+        words: name of the rule in printed texts.
+        of: function that combines the values of R runs, using their measured distances [m]; both arguments have shape (R,).
     """
 
     words: str
@@ -103,16 +101,16 @@ PER_DISTANCE = OverRuns("mean by distance", lambda values, distances: values @ d
 
 @dataclass(frozen=True)
 class Column:
-    """Column in the table of controllers, which shows the largest value of a metric over the points of the vehicle.
+    """Column in the table of controllers, which shows the largest value of a metric over the compared signals of the vehicle.
 
     Attributes:
-        label: heading of the column.
+        label: heading of the table column.
         unit: unit in which the values are printed; empty for a number without a unit.
         scale: factor from the SI unit to the printed unit.
         change: name of the quantity in the column of changes relative to the passive vehicle; empty if there is no such column.
         praise: verb and object for a sentence about the best controller; empty if no sentence mentions this column.
         bars: title of the bar chart in a report; empty if the report has no bar chart for this column.
-        by_side: True for travel, which is shown separately for bump and rebound if the vehicle has stops.
+        by_side: True for suspension travel, which is shown separately for bump and rebound if the vehicle has stops.
     """
 
     label: str
@@ -129,7 +127,7 @@ Expectation = tuple[float, float | None] | None
 
 
 class Totals:
-    """Sums and largest values of a metric over the blocks so far, shape (N,) each after the first block."""
+    """Sums and largest values of a metric over all blocks so far; after the first block, each has the shape (N,)."""
 
     sum: Any = 0
     shift: Any = 0
@@ -140,31 +138,32 @@ class Totals:
         self.sum = self.sum + amount
 
     def keep(self, values: Array) -> None:
-        """Updates the largest values with the magnitudes of `values`, shape (N, B)."""
+        """Updates the largest values so far with the magnitudes of `values`, shape (N, B)."""
         self.keep_largest(np.maximum(values.max(axis=1), -values.min(axis=1)) + 0.0)  # adding 0.0 changes -0.0 to 0.0
 
     def keep_largest(self, largest: Array) -> None:
-        """Updates the largest values, shape (N,)."""
+        """Updates the largest values so far, shape (N,)."""
         self.largest = np.maximum(self.largest, largest)
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric of one signal of a run. The class of the metric is registered in `METRICS`.
+    """A metric of one signal in a run. The class of the metric is registered in `METRICS`.
 
     Attributes:
         source: name of the signal that the metric evaluates.
-        what: name of the statistic, such as peak, which is part of the name of the metric.
-        unit: SI unit of the metric.
-        of: name of the group of signals to which the metric belongs. Tables list the metrics of a group together.
-        over_runs: rule that combines the values of several runs.
+        what: name of the statistic, such as peak, which forms part of the metric's name.
+        unit: SI unit of the metric's values.
+        of: name of the group of signals to which the metric belongs. In tables, the metrics of a group are next to each other.
+        over_runs: rule that combines the metric's values of several runs.
         approximate: False if the expected value is exact for a stationary linear run.
-        expectation: text that defines the expected value, if it is not the mean.
+        expectation: text that defines the expected value, if this is not the mean.
         accuracy: text about the error of an approximate expected value; empty if no error is stated.
-        column: column in the table of controllers; None if the table does not contain this metric.
-        headline: name in the short tables of campaigns and reports; empty if they do not contain this metric.
-        effort: True for a metric of actuators, which the passive vehicle does not have.
-        loaded: True for a metric that is measured only if loads act on the body.
+        column: column of this metric in the table of controllers; None if the table does not contain the metric.
+        headline: name of the metric in the short tables of campaigns and reports; empty if these tables do not contain the
+            metric.
+        effort: True for a metric of actuators, which a passive vehicle does not have.
+        loaded: True for a metric that is measured only in runs with loads on the body.
     """
 
     source: str
@@ -182,12 +181,12 @@ class Metric:
 
     @property
     def name(self) -> str:
-        """Name of the metric, as in files and in JSON."""
+        """Name of the metric in files and in JSON."""
         return f"{self.source}_{self.what}"
 
     @property
     def words(self) -> str:
-        """Name with spaces instead of underscores."""
+        """Name of the metric with spaces instead of underscores."""
         return self.name.replace("_", " ")
 
     @classmethod
@@ -197,24 +196,27 @@ class Metric:
 
     @classmethod
     def compared(cls, vehicle: Vehicle) -> Sequence[str]:
-        """Returns the signals that are compared; the worst of these signals represents the vehicle. By default, all signals."""
+        """Returns the signals by which controllers are compared; the signal with the worst value represents the vehicle. By
+        default, all signals are returned.
+        """
         return cls.sources(vehicle)
 
     @classmethod
     def shown_apart(cls, vehicle: Vehicle) -> Sequence[str]:
-        """Returns the signals that have additional columns of their own in the table of controllers."""
+        """Returns the signals that have additional, separate columns in the table of controllers."""
         return ()
 
     def update(self, meter: "Meter", totals: Totals) -> None:
-        """Adds the current block of signals, which the meter holds, to the totals."""
+        """Adds the current block of signals, which the meter holds, to the totals of the metric."""
 
     def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
-        """Adds a block of the weighted acceleration of this metric.
+        """Adds a block of the weighted acceleration to the totals of this metric.
 
         Args:
             weighted: weighted acceleration [m/s2], shape (N, B).
-            running: running mean square of `weighted` with the time constant `RUNNING_TIME_CONSTANT`, shape (N, B).
-            totals: totals of this metric.
+            running: running mean square of the weighted acceleration with the time constant `RUNNING_TIME_CONSTANT`, shape (N,
+                B).
+            totals: sums and largest values of this metric.
         """
 
     def result(self, totals: Totals, meter: "Meter") -> Array:
@@ -222,19 +224,20 @@ class Metric:
         raise NotImplementedError
 
     def expected(self, random: "RandomSignals") -> Expectation:
-        """Returns the expected value over random roads, and its standard deviation from road to road (None if unknown).
+        """Returns the metric's expected value over random roads, and its standard deviation from road to road (None if
+        unknown).
 
-        Returns None if the metric has no known expected value.
+        Returns None if no formula for the metric's expected value is known.
         """
         return None
 
 
 def over_runs(metric: Metric, values: Array, distances: Array | None = None) -> float:
-    """Returns the combined value of a metric over R runs, by the rule of this metric.
+    """Returns the combined value of a metric over R runs, by the rule that belongs to the metric.
 
     Args:
         metric: the metric.
-        values: value of each run, shape (R,).
+        values: value of the metric in each run, shape (R,).
         distances: measured distance of each run [m], shape (R,); None if all distances are equal.
     """
     return float(metric.over_runs.of(values, np.ones(len(values)) if distances is None else distances))
@@ -246,7 +249,9 @@ def squares(values: Array) -> Array:
 
 
 def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
-    """Returns all metrics of a vehicle, ordered by signal. `loaded` adds the angles of the body, which come first."""
+    """Returns all metrics that a vehicle has, ordered by signal. With `loaded`, the metrics of body angles are included and
+    come first.
+    """
     groups: dict[str, list[tuple[type[Metric], Sequence[str]]]] = {}
     for kind in METRICS.load_all().values():
         if loaded or not kind.loaded:
@@ -261,9 +266,9 @@ def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
 
 
 def compared_metrics(vehicle: Vehicle, loaded: bool = False) -> dict[str, tuple[Metric, ...]]:
-    """Returns the metrics that are compared, by name in `METRICS`.
+    """Returns the metrics by which controllers are compared, by name in `METRICS`.
 
-    If the vehicle has several metrics with one name, the worst of these metrics represents the vehicle.
+    If the vehicle has several metrics with one name, the metric with the worst value represents the vehicle.
     """
     return {
         name: tuple(map(kind, kind.compared(vehicle))) for name, kind in METRICS.load_all().items() if loaded or not kind.loaded
@@ -271,9 +276,9 @@ def compared_metrics(vehicle: Vehicle, loaded: bool = False) -> dict[str, tuple[
 
 
 class Meter:
-    """Computation of the metrics of N runs of one vehicle type, block by block in constant memory.
+    """Computation of the metrics of N runs with one vehicle type, block by block, in constant memory.
 
-    The results of a run do not depend on the other runs, bit for bit, because each sum is over the time of a single run.
+    The results of a run do not depend on the other runs, bit for bit, because each sum extends over the time of a single run.
     """
 
     def __init__(
@@ -289,15 +294,15 @@ class Meter:
         """Prepares the meter.
 
         Args:
-            vehicles: N vehicles of one type.
+            vehicles: vehicles of the N runs, all of one type.
             timestep: timestep of the signals [s].
-            first: index of the first measured sample.
-            loaded: True if loads act in any run; angles are then measured.
-            pushed: True for each run in which loads act, N entries; None if this is the same for all runs, as given by
-                `loaded`.
-            earlier: True to compute the weighted metrics as earlier versions did, with a window that was delayed by three
-                samples.
-            speeds: speed of each run [m/s], N entries; None if the speeds are unknown. Metrics per distance are then NaN.
+            first: index of the first sample that is measured.
+            loaded: True if loads act in any run; body angles are then measured.
+            pushed: True for each run in which loads act, N entries; None if `loaded` applies to all runs.
+            earlier: True to compute the weighted metrics as earlier versions of Roadproof did, with a window that was delayed
+                by three samples.
+            speeds: speed of each run [m/s], N entries; None if the speeds are unknown. Metrics per distance are NaN if the
+                speed is unknown.
         """
         self.late = 0 if earlier else LATE
         self.pushed = np.array([loaded] * len(vehicles) if pushed is None else pushed)
@@ -335,7 +340,7 @@ class Meter:
         self.seen = self.samples = 0
 
     def update(self, values: Array) -> None:
-        """Adds the next block of signals, shape (B, S, N): B samples of the S signals in N runs."""
+        """Adds the next block of signals, shape (B, S, N), which contains B samples of the S signals in N runs."""
         skip = min(max(self.first - self.seen, 0), len(values))
         self.seen += len(values)
         self.samples += len(values) - skip
@@ -353,7 +358,7 @@ class Meter:
             metric.update(self, totals)
 
     def result(self) -> dict[str, Array]:
-        """Returns all metrics by name after the last block, shape (N,) each."""
+        """Returns all metrics by name after the last block, each of shape (N,)."""
         # the accelerations are extrapolated linearly beyond the end, because the filter has a delay
         for name, last in self.last.items():
             self._weigh(name, last[:, 1:] + np.diff(last, axis=1) * np.arange(1, self.late + 1), self.seen)
@@ -371,20 +376,22 @@ class Meter:
         return np.where(self.speeds > 0, self.speeds * self.duration, np.nan)
 
     def __getitem__(self, name: str) -> Array:
-        """Returns an output signal of the current block, shape (N, B). The samples of a run are contiguous in memory."""
+        """Returns the current block of an output signal, shape (N, B). In the result, the samples of a run are contiguous in
+        memory.
+        """
         return np.ascontiguousarray(self.block[:, self.index[name]].T)
 
     def angle(self, name: str) -> Array:
-        """Returns an angle of the body in the current block [rad], shape (N, B)."""
+        """Returns the current block of a body angle [rad], shape (N, B)."""
         angle = np.zeros(self.block.shape[:1:-1] + self.block.shape[:1])
         for i, share in self.angles[name].items():
             angle += share[:, None] * self.block[:, i].T
         return angle
 
     def tyre(self, name: str) -> tuple[Array, Array]:
-        """Returns the deflection of a tyre in the current block and its static deflection [m], shapes (N, B) and (N, 1).
+        """Returns the current block of a tyre deflection and the tyre's static deflection [m], shapes (N, B) and (N, 1).
 
-        For a tyre with damping, this is the deflection of an undamped tyre with the same force.
+        For a damped tyre, the result is the deflection of an undamped tyre with the same force.
         """
         deflection = self[name]
         if name in self.damped:
@@ -393,9 +400,9 @@ class Meter:
         return deflection, self.static[name][:, None]
 
     def work(self, force: str) -> Array:
-        """Returns the work of an actuator [J] in each step that ends in the current block, shape (N, B).
+        """Returns an actuator's work [J] in each step that ends in the current block, shape (N, B).
 
-        The first block has one step fewer than samples, so its result has the shape (N, B - 1).
+        The first block has one step fewer than samples, so that the result for this block has the shape (N, B - 1).
         """
         if force not in self.works:
             acting, along = self._joined(force), self._joined(self.vehicle.kind.deflection_of(force))
@@ -404,7 +411,7 @@ class Meter:
         return self.works[force]
 
     def _joined(self, name: str) -> Array:
-        """Returns a signal of the current block, preceded by its last sample in the previous block."""
+        """Returns the current block of a signal, preceded by the last sample of the previous block."""
         signal = self[name]
         joined = np.concatenate([self.before[name], signal], axis=1) if name in self.before else signal
         self.before[name] = signal[:, -1:].copy()
@@ -414,9 +421,9 @@ class Meter:
         """Filters the next samples of an acceleration with W_k, and adds the samples within the window to the totals.
 
         Args:
-            name: name of the acceleration.
+            name: name of the acceleration signal.
             acceleration: samples [m/s2], shape (N, B).
-            seen: number of samples of the run before these samples.
+            seen: number of samples of the run that precede these samples.
         """
         if not acceleration.shape[1]:
             return
@@ -440,16 +447,16 @@ def measure(
     earlier: bool = False,
     speed: float = math.nan,
 ) -> dict[str, float]:
-    """Returns the metrics of one response by name; NaN if the run was aborted.
+    """Returns the metrics of one response by name; NaN if the run of the response was aborted.
 
     Args:
         vehicle: the vehicle.
         response: response of the run.
-        first: index of the first measured sample.
-        loaded: True if loads act on the body, so that its angles are measured.
-        end: index of the sample after the last measured one; None for the end of the response.
-        earlier: True to compute the weighted metrics as earlier versions did, see `Meter`.
-        speed: speed of the vehicle [m/s]; NaN if it is unknown.
+        first: index of the first sample that is measured.
+        loaded: True if loads act on the body, so that the body angles are measured.
+        end: index of the sample after the last measured sample; None for the end of the response.
+        earlier: True to compute the weighted metrics as earlier versions of Roadproof did, see `Meter`.
+        speed: speed of the vehicle [m/s]; NaN if the speed is unknown.
     """
     meter = Meter([vehicle], float(response.time[1] - response.time[0]), first, loaded, earlier=earlier, speeds=[speed])
     meter.update(response.values[:end, :, None])

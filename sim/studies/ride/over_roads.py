@@ -1,4 +1,4 @@
-"""The study of ride over random roads of several classes, measured in MuJoCo and predicted from the spectra of the roads."""
+"""The study of ride on random roads of several classes, measured in MuJoCo and predicted from the spectra of the roads."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,14 +36,14 @@ LONGEST = 20.0  # s, longest transient that is awaited before the measurement
 
 @dataclass(frozen=True)
 class Ride:
-    """A metric of one controller over the roads of one class. Values that do not exist are NaN.
+    """A metric of one controller on the roads of one class. Values of the metric that do not exist are NaN.
 
     Attributes:
-        road_class: road class of ISO 8608.
+        road_class: road class according to ISO 8608.
         controller: name of the controller.
-        metric, unit: name and unit of the metric.
-        measured: root mean square of the metric over the roads of the class, measured in MuJoCo.
-        predicted: value of the metric that is predicted from the spectrum of the class.
+        metric, unit: name of the metric, and unit of its values.
+        measured: root mean square of the metric's values on the roads of the class, measured in MuJoCo.
+        predicted: value of the metric, predicted from the spectrum of the class.
         spread: predicted standard deviation of the metric from road to road.
         events: text that states the share of time in which a tyre is off the ground, and the number of aborted runs.
     """
@@ -59,7 +59,7 @@ class Ride:
 
     @property
     def share(self) -> float | None:
-        """Spread relative to the prediction; None if the spread or the prediction is unknown."""
+        """Standard deviation from road to road, divided by the prediction; None if the deviation or the prediction is unknown."""
         share = self.spread / self.predicted if self.predicted else math.nan
         return share if math.isfinite(share) else None
 
@@ -80,7 +80,7 @@ RIDE: tuple[Field[Ride], ...] = (
 
 
 def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, Style]) -> Document:
-    """Returns the section about the ride: metrics of all controllers on the roads of all classes."""
+    """Returns the section about the ride, with the metrics of all controllers on the roads of all classes."""
     caption = f"Roughness of the roads over their first {SPEED * WINDOW:g} m."
     headings = ("class", "tracks", "IRI, all of the class [m/km]", "IRI of the roads driven [m/km]")
     rough = Table("roads", caption, headings, tuple(_roughness_row(vehicle, name) for name in CLASSES), detail="full")
@@ -91,7 +91,7 @@ def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, St
 
 
 def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:
-    """Returns a row of the table of roads: class, tracks, expected IRI of the class, and IRIs of the simulated roads."""
+    """Returns a row of the table of roads: road class, tracks, expected IRI of the class, and IRIs of the simulated roads."""
     distance, width = SPEED * WINDOW, track_width(vehicle)
     roughness = [roughness_of(Iso8608(name, seed, SPEED, width, long_enough(distance)), vehicle, distance) for seed in SEEDS]
     which = next(i for i, one in enumerate(roughness[0]) if one.name == ("mean" if width else "left"))
@@ -101,7 +101,7 @@ def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:
 
 
 def ride_figure(rides: Sequence[Ride], style: Mapping[str, Style]) -> Figure:
-    """Returns the figure of all metrics over the road classes. Lines are predictions, and markers are MuJoCo results."""
+    """Returns the figure of all metrics against road class. Lines show predictions, and markers show MuJoCo results."""
     ticks = tuple(float(k) for k in range(len(CLASSES)))
     panels = []
     for metric, unit in dict.fromkeys((one.metric, one.unit) for one in rides):
@@ -125,7 +125,9 @@ def ride_figure(rides: Sequence[Ride], style: Mapping[str, Style]) -> Figure:
 
 
 def _best_ride(rides: Sequence[Ride]) -> str:
-    """Returns a sentence about the controller with the best ride over class `AVERAGE`; empty for fewer than two controllers."""
+    """Returns a sentence about the controller with the best ride on roads of class `AVERAGE`; empty for fewer than two
+    controllers.
+    """
     some = [one for one in rides if (one.road_class, one.metric) == (AVERAGE, rides[0].metric) and math.isfinite(one.measured)]
     if len(some) < 2:
         return ""
@@ -135,7 +137,7 @@ def _best_ride(rides: Sequence[Ride]) -> str:
 
 
 def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns sentences that explain the table of the ride, and that list the parts of the vehicle which the predictions omit."""
+    """Returns sentences that explain the table of the ride, and name the parts of the vehicle that the predictions omit."""
     ends, blur = replace(vehicle.limits, actuator_bandwidth=None), replace(vehicle.implementation, sample_period=None, delay=0)
     without = join_words([*ends.phrases(vehicle.kind.suspensions), *blur.phrases])
     curved = " Each characteristic is replaced by the line that has the same effect on average." * vehicle.parts.nonlinear
@@ -153,16 +155,16 @@ def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 class OverRoads:
-    """MuJoCo runs of a controller over the random roads of some classes."""
+    """MuJoCo runs of a controller over random roads of one or several classes."""
 
     def __init__(self, vehicle: Vehicle, controller: AnyController, timestep: float, classes: str | None = None) -> None:
-        """Simulates the controller over the random roads of the classes.
+        """Simulates the controller on the random roads of the classes.
 
         Args:
             vehicle: vehicle that the controller controls.
             controller: controller of this vehicle.
             timestep: timestep of the simulation [s].
-            classes: road classes, such as "AC"; None for all classes.
+            classes: road classes as one text, such as "AC"; None for all classes.
         """
         self.vehicle, self.controller, self.timestep, self.classes = vehicle, controller, timestep, classes or CLASSES
         start = min(settling_time(vehicle, controller), LONGEST)
@@ -180,19 +182,21 @@ class OverRoads:
         self.found = meter.result()
 
     def score(self) -> Score:
-        """Returns the controller's score on the roads of class `AVERAGE`; without values if one of these runs was aborted."""
+        """Returns the controller's score in the runs on roads of class `AVERAGE`; the score has no values if one of these runs
+        was aborted.
+        """
         runs = self._runs(AVERAGE)
         if not np.isinf(self.ended[runs]).all():
             return score_of(self.vehicle, self.controller.name, {})
         return score_over_runs(self.vehicle, self.controller.name, {name: each[runs] for name, each in self.found.items()})
 
     def _runs(self, road_class: str) -> slice:
-        """Returns the indices of the runs over the roads of a class."""
+        """Returns the indices of the runs on roads of a class."""
         first = self.classes.index(road_class) * len(SEEDS)
         return slice(first, first + len(SEEDS))
 
     def rides(self) -> Iterator[Ride]:
-        """Yields all metrics for all classes."""
+        """Yields all metrics on the roads of all classes."""
         vehicle, controller = self.vehicle, self.controller
         ideal = replace(vehicle, implementation=vehicle.implementation.without_noise)
         metrics = [one for one in metrics_of(vehicle) if one.headline and (controller.acts or not one.effort)]
@@ -217,7 +221,7 @@ class OverRoads:
 
 
 class RideStudy(Study[tuple[list[Ride], list[Score]]]):
-    """Study that adds the ride over random roads to a report, and computes the scores of the controllers on these roads."""
+    """Study that adds the ride on random roads to a report, and computes the controllers' scores on these roads."""
 
     seconds = 7.0
 
@@ -226,7 +230,9 @@ class RideStudy(Study[tuple[list[Ride], list[Score]]]):
         return {"": scope} if not scope.quick and (scope.stable or scope.laws) else {}
 
     def run(self, request: Subject, progress: Progress) -> tuple[list[Ride], list[Score]]:
-        """Returns the ride of all stable controllers and nonlinear laws, and their scores including the passive vehicle."""
+        """Returns the ride results of all stable controllers and nonlinear laws, and their scores, including the score of the
+        passive vehicle.
+        """
         reported = (*request.stable, *request.laws)
         driven = [OverRoads(request.vehicle, one, request.timestep) for one in reported]
         passive = [] if any(one.name == PASSIVE for one in reported) else [request.designer.design(PASSIVE)]

@@ -1,4 +1,4 @@
-"""Poles of a sampled loop, near which the integration of spectra needs a fine grid, and spectra computed from amplitudes."""
+"""Poles of a sampled loop, near which spectra must be integrated on a fine grid, and spectra computed from complex amplitudes."""
 
 import math
 
@@ -13,16 +13,16 @@ from synth.controller.loop_of import loop_of
 
 
 def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: float) -> tuple[Array, float]:
-    """Returns the poles that determine the peaks of the spectra, and the rounding error of the slowest pole.
+    """Returns the poles that determine the peaks of the spectra, and the relative rounding error of the slowest pole.
 
-    These are the poles of the sampled loop and of the frequency weighting. All these poles repeat at multiples of the sample
-    rate.
+    The result contains the poles of the sampled loop and of the frequency weighting. All poles are repeated at multiples of the
+    sample rate.
 
     Args:
         vehicle: vehicle that the controller controls.
         controller: controller of this vehicle.
         timestep: timestep of the simulation [s].
-        high: frequency up to which the repeated poles are returned [rad/s].
+        high: highest frequency for which repeated poles are returned [rad/s].
 
     Returns:
         Poles [1/s], and the relative rounding error of the slowest pole.
@@ -38,5 +38,5 @@ def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: 
 
 
 def power_of(amplitude: Array) -> Array:
-    """Returns the spectrum of a signal, shape (...), from its amplitudes for both sources, shape (..., 2)."""
+    """Returns the spectrum of a signal, shape (...), from its complex amplitudes for both road sources, shape (..., 2)."""
     return np.sum(np.abs(amplitude) ** 2, axis=-1)

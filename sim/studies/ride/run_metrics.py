@@ -1,6 +1,6 @@
-"""Metrics of a run: measured in MuJoCo, in the sampled response over the same road, and expected over random roads.
+"""Metrics of a run: measured in MuJoCo, computed from the sampled response over the same road, and expected over random roads.
 
-Start with `measure_run`. `record` returns the metrics as JSON, and `summary` and `basis` as text.
+Start with `measure_run`. `record` returns the metrics as JSON; `summary` and `basis` return them as text.
 """
 
 import math
@@ -45,12 +45,12 @@ NO_ANGLE = 1e-9  # deg; a smaller angle is a rounding error if symmetry keeps th
 
 
 def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughness, ...]:
-    """Returns the international roughness indices of the part of a road that a vehicle drives in a run, one per track.
+    """Returns the international roughness index of each track, for the part of a road that a vehicle drives in a run.
 
     Args:
         vehicle: the vehicle.
-        road: road on which the vehicle drives, over distance or over time.
-        time: sample times from 0 [s], shape (T,).
+        road: road that the vehicle drives, defined over distance or over time.
+        time: sample times that begin at 0 [s], shape (T,).
     """
     return roughness_of(road, vehicle, road.speed * float(time[-1]))
 
@@ -61,7 +61,7 @@ def roughness(found: Sequence[Roughness]) -> dict[str, Any]:
 
 
 def roughness_names(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the names of the IRIs of a road: one per track, or only `iri` if the vehicle has no track width."""
+    """Returns the names of a road's IRIs: one for each track, or only `iri` if the vehicle has no track width."""
     return tuple(f"iri_{track}" for track in TRACKS) if track_width(vehicle) else ("iri",)
 
 
@@ -71,15 +71,15 @@ def _name(one: Roughness, roughness: Sequence[Roughness]) -> str:
 
 @dataclass(frozen=True)
 class MetricComparison:
-    """Values of one metric of a run: in MuJoCo, in linear analysis, and expected over random roads.
+    """Values of one metric of a run: in MuJoCo, in linear analysis, and as expected over random roads.
 
     Attributes:
         unit: SI unit of the metric.
-        mujoco: value in MuJoCo; None if the run was aborted.
-        sampled: value in the exact sampled response over the same road; None if the run was aborted.
-        expected: expected value over all random roads with the same spectrum. None if the road has no spectrum, the loop is not
-            linear and stable, or the metric has no known expected value.
-        spread: standard deviation of the expected value from road to road; None if this deviation is unknown.
+        mujoco: value of the metric in MuJoCo; None if the run was aborted.
+        sampled: value of the metric in the exact sampled response over the same road; None if the run was aborted.
+        expected: expected value of the metric over all random roads with the same spectrum. `expected` is None if the road has
+            no spectrum, the loop is nonlinear or unstable, or the metric has no known expected value.
+        spread: standard deviation of the metric from road to road; None if this deviation is unknown.
         approximate: True if the formula for the expected value is an approximation.
     """
 
@@ -108,16 +108,17 @@ METRIC: tuple[Field[MetricComparison], ...] = (
 
 @dataclass(frozen=True, repr=False)
 class RunMetrics(ShownResult):
-    """All metrics of one run, with information about their expected values.
+    """All metrics of one run, with information about the expected values.
 
     Attributes:
-        metrics: metrics by name.
-        settled: part of the transient that remains when the measurement begins; None for roads without a spectrum, for unstable
-            loops, and for laws in Python.
-        error: largest relative error of the integrals from which expected values are computed; None without expected values.
+        metrics: values of each metric, by name of the metric.
+        settled: part of the transient that remains when the measurement begins; None for a road without a spectrum, an unstable
+            loop, or a law in Python.
+        error: largest relative error of the integrals from which expected values are computed; None if there are no expected
+            values.
         line: linear vehicle from which the expected values are computed; None if there are no expected values.
-        static: angles of the body in equilibrium of the linear loop under the final loads [deg], by name. None if no loads act;
-            empty if the loop is unstable or the law is nonlinear.
+        static: body angles in the equilibrium of the linear loop under the final loads [deg], by name. `static` is None if no
+            loads act, and empty if the loop is unstable or the law is nonlinear.
     """
 
     metrics: Mapping[str, MetricComparison]
@@ -128,7 +129,9 @@ class RunMetrics(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Document that lists all metrics: values in MuJoCo, values in the sampled response, and expected values."""
+        """Document that lists all metrics, each with its value in MuJoCo, its value in the sampled response, and its expected
+        value.
+        """
         rows = {
             name: ", ".join(f"{of.label} {of.cell(one)} {one.unit}" for of in METRIC[1:4] if of.value(one) is not None)
             for name, one in self.metrics.items()
@@ -142,19 +145,19 @@ def measured_samples(
 ) -> tuple[int, int | None]:
     """Returns the index of the first measured sample, and the index after the last measured one (None for the end of the run).
 
-    - On a random road, the measurement begins when the transient has decayed, or at half of the run if this is earlier. The
-      transient of a law in Python is unknown, so the measurement begins at half of the run.
+    - On a random road, the measurement begins when the transient has decayed, but no later than at half of the run. The
+      transient of a law in Python is unknown, so that the measurement begins at half of the run.
     - Over a single obstacle, the measurement covers the time in which the vehicle crosses the obstacle, and is the same for all
-      controllers. The measurement begins when the first wheel reaches the obstacle. The measurement ends when the passive vehicle
-      would have settled after its last wheel has left the obstacle.
-    - On other roads, and with loads, the whole run is measured.
+      controllers. The measurement of an obstacle begins when the first wheel reaches the obstacle. The measurement ends when
+      the passive vehicle would have settled after its last wheel left the obstacle.
+    - On other roads, and if loads act, the whole run is measured.
 
     Args:
-        driven: pairs of vehicle and controller that are compared.
-        road: road of the runs.
-        duration: duration of the run [s].
-        timestep: timestep of the run [s].
-        settle: time at which the measurement begins on a random road [s]; None for the rule above.
+        driven: pairs of vehicle and controller whose metrics are compared.
+        road: road on which all runs are simulated.
+        duration: duration of each run [s].
+        timestep: timestep of the simulation [s].
+        settle: time at which the measurement on a random road begins [s]; None to choose this time as described above.
 
     Raises:
         InputError: `settle` is longer than half of the run, or the road is not random.
@@ -174,17 +177,17 @@ def measured_samples(
 
 
 def settling_times(driven: Sequence[tuple[Vehicle, AnyController]]) -> list[tuple[str, float]]:
-    """Returns the name and the settling time [s] of each controller. The time is infinite for a law in Python."""
+    """Returns the name of each controller with its settling time [s]. The settling time is infinite for a law in Python."""
     return [(one.name, settling_time(car, one)) for car, one in driven]
 
 
 def start_reason(driven: Sequence[tuple[Vehicle, AnyController]], start: float, duration: float) -> str:
-    """Returns a clause that explains why the measurement on a random road begins at the given time.
+    """Returns a clause that explains why the measurement on a random road begins at the time `start`.
 
     Args:
-        driven: pairs of vehicle and controller that are compared.
+        driven: pairs of vehicle and controller whose metrics are compared.
         start: time at which the measurement begins [s].
-        duration: duration of the run [s].
+        duration: duration of each run [s].
     """
     last, slowest = max(settling_times(driven), key=lambda one: one[1])
     if start >= duration / 2 and slowest > start:
@@ -194,29 +197,31 @@ def start_reason(driven: Sequence[tuple[Vehicle, AnyController]], start: float, 
 
 
 def measured_words(time: Array, samples: tuple[int, int | None]) -> str:
-    """Returns a text that describes the measured time, from the sample times [s] and the result of `measured_samples`."""
+    """Returns a text that describes which part of the run was measured, from the sample times [s] and the result of
+    `measured_samples`.
+    """
     first, end = samples
     begins = f"from {WHEN.digits(time[first])}"
     return f"{begins} s on" if end is None else f"{begins} to {WHEN.text(time[end - 1])}, while the vehicle crosses the obstacle"
 
 
 def points_end(road: Road, duration: float) -> float | None:
-    """Returns the time at which the points of a road from a file end [s]; None if they end with the run or later.
+    """Returns the time at which the points of a road file end [s]; None if they do not end before the run.
 
     Args:
         road: road of the run.
-        duration: duration of the run [s].
+        duration: duration of each run [s].
     """
     ends = road.duration
     return ends if road.points is not None and ends < duration and not math.isclose(ends, duration, rel_tol=NEARLY) else None
 
 
 def end_words(road: Road, duration: float) -> str:
-    """Returns a clause about a road from a file whose points end before the run; empty for other roads.
+    """Returns a clause that states that the points of a road file end before the run; empty for other roads.
 
     Args:
         road: road of the run.
-        duration: duration of the run [s].
+        duration: duration of each run [s].
     """
     ends = points_end(road, duration)
     return "" if ends is None else f"; after {rough(ends)} s, the road has no points and is straight"
@@ -227,15 +232,15 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
 
     Args:
         run: run to measure.
-        first: index of the first measured sample; 0 for the whole run.
-        end: index of the sample after the last measured one; None for the end of the run.
+        first: index of the first measured sample; 0 to measure the whole run.
+        end: index of the sample after the last measured sample; None for the end of the run.
 
     Returns:
-        Metrics by name in SI units, with their values in MuJoCo and in the exact sampled response. On a random road, the result
-        also contains the expected values over all roads with the same spectrum.
+        Metrics by name in SI units, with the values in MuJoCo and in the exact sampled response. On a random road, the result
+        also contains the expected value of each metric over all roads with the same spectrum.
 
     Raises:
-        InputError: fewer than two samples would be measured.
+        InputError: the measured part of the run would have fewer than two samples.
 
     Example:
         >>> from models import Bump, read_vehicle
@@ -275,10 +280,10 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
 
 
 def expected_cells(run: Run, metrics: RunMetrics) -> list[dict[str, str]]:
-    """Returns two rows for the table of controllers: expected values and standard deviations, by heading.
+    """Returns two rows for the table of controllers, with expected values and with standard deviations, by column heading.
 
-    Each cell shows the value of the wheel, suspension or actuator with the largest expected value. The result is empty without
-    expected values.
+    Each cell shows the value of the wheel, suspension or actuator with the largest expected value. The result is empty if there
+    are no expected values.
     """
     mean, spread = {"controller": f"{run.controller.name}, expected"}, {"controller": f"{run.controller.name}, +- by road"}
     for some in compared_metrics(run.vehicle).values():
@@ -292,7 +297,7 @@ def expected_cells(run: Run, metrics: RunMetrics) -> list[dict[str, str]]:
 
 
 def roughness_sentence(run: Run) -> str:
-    """Returns a sentence with the IRIs of the driven part of a road, or the reason why the road has no IRI; empty for a flat
+    """Returns a sentence with the IRIs of the driven part of a road, or with the reason why there is no IRI; empty for a flat
     road.
     """
     known = driven_roughness(run.vehicle, run.road, run.prediction.time)
@@ -307,9 +312,9 @@ def roughness_sentence(run: Run) -> str:
 
 
 def basis(run: Run, metrics: RunMetrics) -> list[str]:
-    """Returns sentences about the accuracy of the expected values, and about effects that these values omit.
+    """Returns sentences about the accuracy of the expected values, and about effects that are neglected in these values.
 
-    If the run was aborted, the first sentence gives the reason.
+    If the run was aborted, the first sentence states the reason.
     """
     vehicle, said = run.vehicle, broken_off_sentence(run)
     if (settled := metrics.settled) is not None and abs(settled.share - 1) > SETTLED:
@@ -348,9 +353,9 @@ def broken_off_sentence(run: Run) -> list[str]:
 
 
 def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
-    """Returns the document with the largest angles of the body under loads, and the expected ride over random roads.
+    """Returns the document with the largest body angles under loads, and with the expected ride over random roads.
 
-    For more than `FEW` runs, only `-v` shows the expected ride.
+    The expected ride of more than `FEW` runs is shown only with `-v`.
     """
     angles = [
         {

@@ -1,6 +1,6 @@
-"""Table that compares controllers, as text.
+"""The printed table that compares controllers.
 
-The table has a row per controller, shows changes relative to the passive vehicle, and marks the best values.
+The table has a row for each controller, shows changes relative to the passive vehicle, and marks the best values.
 """
 
 from collections.abc import Mapping, Sequence
@@ -45,23 +45,23 @@ def _faults(scores: Sequence[Score]) -> dict[str, list[str]]:
 
 
 def best_of_all(scores: Sequence[Score]) -> str:
-    """Returns "best", with the controllers that a fault excludes, such as "best without I (disk margin below 0.3)"."""
+    """Returns "best", followed by the controllers that a fault excludes, such as "best without I (disk margin below 0.3)"."""
     excluded = ", ".join(f"{', '.join(names)} ({fault})" for fault, names in _faults(scores).items())
     return f"best without {excluded}" if excluded else "best"
 
 
 def some_names(names: Sequence[str]) -> str:
-    """Returns the names of controllers for a sentence, or only their number if there are more than `MANY`."""
+    """Returns the names of controllers for use in a sentence, or only the number of controllers if there are more than `MANY`."""
     return names_text(names) if len(names) <= MANY else f"{len(names)} controllers"
 
 
 def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Score]] = ()) -> Table:
-    """Returns the table that compares controllers. Changes are relative to the passive vehicle of the same file.
+    """Returns the table that compares controllers. Changes are relative to the passive vehicle of the same vehicle file.
 
     Args:
-        scores: scores of the controllers, one per row.
-        about: text that describes the measurement.
-        more: further columns, which follow the metrics.
+        scores: scores of the controllers, one for each row.
+        about: text that describes which part of the runs was measured.
+        more: additional columns, which follow the columns of metrics.
     """
     passive = {one.vehicle: one for one in scores if one.controller == PASSIVE and not one.without and len(scores) > 1}
     marked, several = best(scores), any(one.vehicle for one in scores)
@@ -87,12 +87,12 @@ def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Sco
 
 
 def score_lines(scores: Sequence[Score], about: str, below: Sequence[Mapping[str, str]] = ()) -> list[str]:
-    """Returns the printed lines of the table, with its caption below the table.
+    """Returns the printed lines of the table, followed by the caption.
 
     Args:
-        scores: scores of the controllers, one per row.
-        about: text that describes the measurement.
-        below: cells of additional rows below those of the controllers, by heading of the column.
+        scores: scores of the controllers, one for each row.
+        about: text that describes which part of the runs was measured.
+        below: cells of additional rows that follow the rows of the controllers, by heading of the column.
     """
     one = compared_table(scores, about)
     one = replace(one, rows=(*one.rows, *(tuple(cells.get(heading, "") for heading in one.headings) for cells in below)))
@@ -100,13 +100,15 @@ def score_lines(scores: Sequence[Score], about: str, below: Sequence[Mapping[str
 
 
 def _mark_best(quantity: Field[Score], names: Sequence[str]) -> Field[Score]:
-    """Returns the table column that shows a quantity. The controllers with these names are marked as the best ones."""
+    """Returns the table column that shows a quantity of the controllers. The controllers in `names` are marked as the best
+    ones.
+    """
     return replace(quantity, value=lambda one: f"{quantity.cell(one)}{BEST if one.label in names else ''}")
 
 
 def _change(quantity: Field[Score], passive: Mapping[str, Score]) -> Field[Score]:
-    """Returns the column of changes relative to the passive vehicle; "-" if a value is missing, the passive value is zero, or
-    both are equal.
+    """Returns the column of changes relative to the passive vehicle. A cell is "-" if a value is missing, if the passive value
+    is zero, or if both values are equal.
     """
 
     def change(one: Score) -> str | None:
@@ -120,9 +122,10 @@ def _change(quantity: Field[Score], passive: Mapping[str, Score]) -> Field[Score
 
 
 def _at_points(quantity: Field[Score], scores: Sequence[Score]) -> list[Field[Score]]:
-    """Returns the table columns for a quantity: one for the vehicle and, if it carries a person, one for each additional point.
+    """Returns the table columns for a quantity: one for the vehicle and, if the vehicle carries a person, one for each
+    additional point.
 
-    More than `MOST_POINTS` additional points share one column, which contains the largest value.
+    If there are more than `MOST_POINTS` additional points, they share one column, which contains the largest value.
     """
     begin = f"{quantity.key}_"
     points = dict.fromkeys(key for one in scores for key in one.values if key not in COLUMNS and key.startswith(begin))
@@ -138,9 +141,9 @@ def _at_points(quantity: Field[Score], scores: Sequence[Score]) -> list[Field[Sc
 
 
 def _travel(quantity: Field[Score], scores: Sequence[Score]) -> tuple[list[Field[Score]], str]:
-    """Returns the columns of travel, and a text for the caption that states the strokes.
+    """Returns the columns of suspension travel, and a text for the caption that states the strokes.
 
-    If all runs have stops, bump and rebound have separate columns: in mm if all strokes are equal, otherwise in per cent of the
+    If all runs have stops, bump and rebound have separate columns, in mm if all strokes are equal, otherwise in per cent of the
     stroke.
     """
     whole = [one for one in scores if quantity.value(one) is not None]

@@ -1,6 +1,6 @@
-"""Scores of controllers for a comparison: ride, travel, tyre load and force, and the best controller for each quantity.
+"""Scores of controllers, which compare ride, travel, tyre load and force, and the best controller for each quantity.
 
-If a vehicle has several wheels, suspensions or actuators, each value is for the worst wheel, suspension or actuator.
+If a vehicle has several wheels, suspensions or actuators, each value belongs to the worst wheel, suspension or actuator.
 """
 
 import math
@@ -28,16 +28,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Score:
-    """A row of the comparison: the metrics of one controller on a road in MuJoCo.
+    """A row of the comparison, with the metrics of one controller on a road in MuJoCo.
 
     Attributes:
         controller: name of the controller.
-        values: values by key of `FIELDS`, in SI units; None if the vehicle does not have this metric or the run was aborted.
-        fault: reason why the controller is never marked as best, see `law_fault`; empty for a controller without a fault.
+        values: values of the metrics by key of `FIELDS`, in SI units; None if the vehicle has no such metric or the run was
+            aborted.
+        fault: reason why the controller is never marked as best, see `law_fault`; empty for a controller that has no fault.
         vehicle: name of the vehicle if several vehicles are compared; otherwise empty.
-        without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the whole vehicle.
-        strokes: largest travel and stroke [m] in bump and in rebound, for the suspension that uses the largest share of its
-            stroke. A side without a stop is omitted. `strokes` is empty if there are no stops or no run.
+        without: name of the part of the vehicle that the run omits, see `Vehicle.without`; empty for the whole vehicle.
+        strokes: largest travel [m] and available stroke [m] in bump and in rebound, for the suspension that uses the largest
+            share of its stroke. A direction without a stop is omitted. `strokes` is empty if the vehicle has no stops or there
+            was no run.
     """
 
     controller: str
@@ -49,17 +51,17 @@ class Score:
 
     @property
     def name(self) -> str:
-        """Name of the controller, followed by the omitted part of the vehicle."""
+        """Name of the controller, followed by the name of the omitted part of the vehicle."""
         return f"{self.controller}{variant(self.without)}"
 
     @property
     def label(self) -> str:
-        """Name of the row, preceded by the vehicle if several are compared."""
+        """Name of the row, preceded by the name of the vehicle if several vehicles are compared."""
         return f"{self.vehicle}:{self.name}".removeprefix(":")
 
 
 def score_field(key: str, label: str, unit: str = "", scale: float = 1.0) -> Field[Score]:
-    """Returns the field of a score with this key."""
+    """Returns the field of a score that has this key."""
     return Field(label, lambda one: one.values.get(key), three_digits, scale, key, unit)
 
 
@@ -70,7 +72,7 @@ KEYS = tuple(one.key for one in FIELDS)
 
 
 def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | None = None) -> dict[str, tuple[float, float]]:
-    """Returns `Score.strokes` for a response; arguments as in `sim.studies.ride.metrics.measure`."""
+    """Returns `Score.strokes` for a response; the arguments are those of `sim.studies.ride.metrics.measure`."""
     used: dict[str, tuple[float, float]] = {}
     for name, strokes in vehicle.parts.strokes.items():
         for side, stroke in strokes.items():
@@ -81,15 +83,17 @@ def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | No
 
 
 def with_faults(scores: Iterable[Score], vehicle: Vehicle, controllers: Iterable[AnyController]) -> list[Score]:
-    """Returns the rows of a vehicle, with the field `fault` filled in for each controller."""
+    """Returns the rows of a vehicle after the field `fault` was filled in for each controller."""
     faults = {one.name: law_fault(vehicle, one) for one in controllers}
     return [replace(one, fault=faults.get(one.controller, "")) for one in scores]
 
 
 def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
-    """Returns the names of the metrics whose largest value is shown, by key; empty if the vehicle has none of these metrics.
+    """Returns the names of the metrics whose largest value is shown in a column, by key; empty if the vehicle has none of these
+    metrics.
 
-    For a vehicle with a person, `ride` contains the points with a person. A further key `ride_...` then exists for each point.
+    If the vehicle carries a person, `ride` contains the points with a person. For a vehicle with a person, there is an
+    additional key `ride_...` for each point.
     """
     columns: dict[str, tuple[str, ...]] = {}
     for key, metrics in compared_metrics(vehicle).items():
@@ -101,12 +105,12 @@ def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
 
 
 def score_of(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | None]) -> Score:
-    """Returns the score of a controller from the metrics of its run.
+    """Returns the score of a controller, computed from the metrics of its run.
 
     Args:
         vehicle: vehicle that the controller controls.
         controller: name of the controller.
-        metrics: values by name of the metric; empty for an aborted run, whose score contains only None.
+        metrics: values of the metrics by name; empty for an aborted run, whose score contains only None.
     """
     values = {key: [metrics.get(name) for name in names] for key, names in columns_of(vehicle).items()}
     largest = {
@@ -116,12 +120,13 @@ def score_of(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | No
 
 
 def score_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Array], distances: Array | None = None) -> Score:
-    """Returns the score of a controller over R runs, see `over_runs`. A value is None if a run does not have this metric.
+    """Returns the score of a controller, computed from R runs; see `over_runs`. If a run does not have a metric, the combined
+    value is None.
 
     Args:
         vehicle: vehicle that the controller controls.
         controller: name of the controller.
-        metrics: values of all runs by name of the metric, shape (R,) each.
+        metrics: values in all runs by name of the metric, each of shape (R,).
         distances: measured distance of each run [m], shape (R,); None if all distances are equal.
     """
     names = {name for some in columns_of(vehicle).values() for name in some}
@@ -130,10 +135,11 @@ def score_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Arr
 
 
 def best(scores: Iterable[Score]) -> dict[str, list[str]]:
-    """Returns the names of the best controllers by key: those with the smallest value, rounded to the digits of the table.
+    """Returns the names of the best controllers by key, which are those with the smallest value, rounded to the digits of the
+    table.
 
-    The comparison of forces does not include the passive vehicle. A controller with a fault is never the best. If all values are
-    equal, no controller is the best.
+    The comparison of forces does not include the passive vehicle. A controller with a fault is never one of the best. If all
+    values are equal, no controller is the best.
     """
     names: dict[str, list[str]] = {}
     sound = [one for one in scores if not one.fault]
@@ -157,7 +163,7 @@ ROW = Record[Score](
 
 
 def scores_record(scores: Sequence[Score]) -> dict[str, Any]:
-    """Returns the table as a JSON object in SI units, with the best controllers of each column."""
+    """Returns the table as a JSON object in SI units, with the best controllers for each column."""
     return {"controllers": [ROW(one) for one in scores], "best": best(scores)}
 
 
@@ -169,16 +175,17 @@ def scores_of_runs(
     without: Sequence[str] = (),
     title: str = "",
 ) -> list[Score]:
-    """Returns the scores of runs.
+    """Returns the scores of runs, in the order of the rows.
 
-    The passive vehicle comes first. A run that omits a part of the vehicle comes after the run with the whole vehicle.
+    The score of the passive vehicle comes first. The score of a run that omits a part of the vehicle follows the score of the
+    run with the whole vehicle.
 
     Args:
         runs: runs of the controllers over the same road.
-        passive: MuJoCo's response of the passive vehicle.
-        samples: index of the first measured sample, and index after the last; None for the end of the runs.
-        measured: metrics of the runs between these samples; empty if they have not been measured yet.
-        without: part of the vehicle that each run omits; empty if no run omits a part.
+        passive: MuJoCo response of the passive vehicle.
+        samples: index of the first measured sample, and index after the last measured sample; None for the end of the runs.
+        measured: metrics of the runs between the two samples in `samples`; empty if the metrics have not been measured yet.
+        without: name of the part of the vehicle that each run omits; empty if no run omits a part.
         title: title of the vehicle if several vehicles are compared; otherwise empty.
     """
     road, (first, end) = runs[0].road, samples

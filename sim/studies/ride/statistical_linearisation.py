@@ -1,40 +1,43 @@
-"""Statistical linearisation: the straight line that best approximates a nonlinear force on a random road, and the remainder.
+"""Statistical linearisation, which replaces a nonlinear force on a random road by the best straight line and a remainder.
 
-The *curve* is the characteristic of a nonlinear spring or damper. `synth.controller.equivalent_line.py` computes the line.
+The *curve* is the characteristic of a nonlinear spring or damper. `synth.controller.equivalent_line.py` computes the best
+straight line.
 
-The remainder is the difference between curve and line. The remainder is included to second order. The remainder acts as a noise
-force, which also contains frequencies below those of the road. This noise mainly excites a slow mode of the controlled vehicle;
-without the remainder, travel would be about 5 % too small.
+The remainder is the difference between the curve and the line. The effect of the remainder is computed to second order. The
+remainder acts as a noise force, which also contains frequencies below those of the road. The noise mainly excites a slow mode
+of the controlled vehicle; without the remainder, travel would be about 5 % too small.
 
 For a Gaussian signal x = m + s z with mean m and standard deviation s, a curve F is a sum of Hermite polynomials of z,
 
     F(x) = E F + s E F' z + e,    e = sum over n >= 2 of c_n He_n(z),    n! c_n = s sum over knots of d_i phi(a_i)
     He_{n-2}(a_i),
 
-where d_i is the change of the slope at a knot, and a_i is the position of this knot minus m, divided by s. Plain statistical
-linearisation neglects the remainder e. If rho_ij is the correlation of x_i and x_j, the covariance of e is (F. G. Mehler's
-formula)
+where d_i is the change of the slope at a knot of the curve, and a_i is the position of this knot minus m, divided by s. Simple
+statistical linearisation neglects the remainder e. If rho_ij is the correlation of the signals x_i and x_j, the covariance of e
+is (F. G. Mehler's formula)
 
     D_ij(tau) = E e_i(t + tau) e_j(t) = sum of c_in c_jn n! rho_ij(tau)^n.
 
-The even terms of this covariance have a spectrum down to frequency 0, where the road has no power and a slow loop responds
-most. The slopes of the curves are correlated with e, which affects the motion due to e. If R_ij(tau) is the impulse response of
-x_i to a force at j, then to second order in e,
+The even terms of this covariance have a spectrum that extends to frequency 0, where the road has no power but a slow loop
+responds most. The slopes of the curves are correlated with e, so they affect the motion that e causes. If R_ij(tau) is the
+impulse response of the signal x_i to a force at curve j, then to second order in e,
 
     F(x) = <F> + s E F' z + sum over j of (Sigma_ij * x_j) + noise of covariance D,
     Sigma_ij(tau) = R_ij(tau) sum over n >= 2 of n^2 (n - 1)! c_in c_jn / (s_i s_j) rho_ij(tau)^(n-1),
     <F_i> = E F_i + sum over j of the integral of R_ij(tau) sum over n >= 2 of (n + 1)! c_i,n+1 c_jn / s_i rho_ij(tau)^n,
 
 where s, rho and R are those of the resulting vehicle (the direct interaction approximation: R. H. Kraichnan (1959), J. Fluid
-Mech. 5, 497-543; P. C. Martin, E. D. Siggia and H. A. Rose (1973), Phys. Rev. A 8, 423-437). The memory Sigma is a
-frequency-dependent slope between signals. The noise is a source in addition to the road. The mean force <F_i> also changes.
+Mech. 5, 497-543; P. C. Martin, E. D. Siggia and H. A. Rose (1973), Phys. Rev. A 8, 423-437). The memory Sigma acts like
+frequency-dependent slopes from the signals to the forces of the curves. The noise is an additional source of excitation,
+independent of the road. The remainder also changes the mean force <F_i>.
 
-Hermite polynomials of degrees 2 to 4 are included. Higher degrees excite frequencies that no suspension amplifies. For
-characteristics with sharp bends, for example due to friction, the second-order terms of higher degrees are too large. With all
-degrees, the error of the expected ride would grow by 0.3 %, and no other error would decrease. If e has a larger share than
-`SHARP` in the variance of a force, accelerations are computed from the line alone, with an error of up to 3 %. With the
-remainder, accelerations would be up to 13 % too small. Slow signals include the remainder, without which travel would be up to
-25 % too small.
+Hermite polynomials of degrees 2 to 4 are included. Hermite polynomials of higher degrees excite frequencies that no suspension
+amplifies. For characteristics with sharp bends, for example due to friction, the second-order terms of polynomials of higher
+degrees are too large. If polynomials of all degrees were included, the error of the expected ride would grow by 0.3 %, and no
+other error would decrease. If the share of e in the variance of a force exceeds `SHARP`, accelerations are computed from the
+line alone. The error of accelerations that are computed from the line alone is up to 3 %. If the remainder were included, the
+accelerations would be up to 13 % too small. Slow signals always include the remainder, without which travel would be up to 25 %
+too small.
 """
 
 import math
@@ -75,16 +78,17 @@ LOWEST = 1e-3  # lowest frequency of the noise that represents the remainder, re
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """Remainders of e nonlinear characteristics (curves), modelled as a linear transfer matrix (memory) and noise.
+    """Remainders of e nonlinear characteristics (curves), modelled by a linear transfer matrix (the memory) and by noise.
 
     Attributes:
-        pulls: names of the e deflections along which the forces of the nonlinear characteristics act.
+        pulls: names of the e deflections along which the forces of the nonlinear characteristics act on the vehicle.
         index: index of each characteristic's argument among the outputs of the vehicle, shape (e,).
-        omega: frequencies [rad/s], ascending from 0, shape (F,).
-        memory: transfer matrix from the arguments to the forces, without the slopes of the equivalent lines, shape (F, e, e).
-        noise: matrix of one-sided spectra of the forces [N^2/Hz], shape (F, e, e).
+        omega: frequencies of the spectra [rad/s], ascending from 0, shape (F,).
+        memory: transfer matrix from the characteristics' arguments to their forces, without the slopes of the equivalent lines,
+            shape (F, e, e).
+        noise: matrix of the one-sided spectra of the noise forces [N^2/Hz], shape (F, e, e).
         mean_force: mean forces of the remainders, without the mean forces of the equivalent lines [N], shape (e,).
-        share: largest share that the remainder has in the variance of a force.
+        share: largest share of a remainder in the variance of the characteristic's force.
     """
 
     pulls: tuple[str, ...]
@@ -97,23 +101,23 @@ class Remainder:
 
     @property
     def sharp(self) -> bool:
-        """True if accelerations are computed without the remainder."""
+        """True if accelerations are computed without the remainder, because the remainder's share is large."""
         return self.share > SHARP
 
     def sources(self, vehicle: Vehicle, road: Spectrum, omega: Array, timestep: float, at_steps: Array) -> Array:
-        """Returns the excitation of wheels and nonlinear characteristics, relative to the amplitude of the road.
+        """Returns the excitation of the wheels and of the nonlinear characteristics, relative to the amplitude of the road.
 
         Args:
-            vehicle: linear vehicle with r wheels, in which straight lines replace the nonlinear characteristics.
+            vehicle: linear vehicle with r wheels, in which the nonlinear characteristics are replaced by straight lines.
             road: spectrum of the road.
-            omega: frequencies [rad/s], shape (F,).
+            omega: frequencies of the road [rad/s], shape (F,).
             timestep: timestep of the sampled loop [s].
-            at_steps: `stepwise_frequency_response` of the loop, from the road velocities and from forces along the deflections
-                `pulls`.
+            at_steps: result of `stepwise_frequency_response` for the loop, from the road velocities and from forces along the
+                deflections `pulls`.
 
         Returns:
-            Excitation of r wheels and e curves (rows) by the two sources of the road and by e noise sources (columns), shape
-            (F, r + e, 2 + e).
+            Excitation of r wheels and e curves (rows) by the two road sources and by e noise sources (columns), shape (F, r +
+            e, 2 + e).
         """
         by_road, steps = sources(vehicle, road, omega), len(at_steps) - 1
         by_road = by_road * ((omega >= road.band[0]) & (omega <= road.band[1]))[:, None, None]
@@ -140,19 +144,19 @@ def remainder(
     means: Array,
     resting: Callable[[Array], Array],
 ) -> Remainder | None:
-    """Returns the remainders of nonlinear characteristics on a road, found by iteration; None if the iteration does not
+    """Returns the remainders of nonlinear characteristics on a road, found by iteration; None if this iteration does not
     converge.
 
     Args:
-        line: straight lines that replace e nonlinear characteristics.
+        line: equivalent straight lines that replace the e nonlinear characteristics.
         controller: the controller.
         road: spectrum of the road.
         timestep: timestep of the sampled loop [s].
         fastest: frequency of the fastest oscillation of the loop [rad/s].
         index: index of each characteristic's argument among the outputs of the vehicle, shape (e,).
-        means: initial means of the characteristics' arguments, shape (e,).
-        resting: function from the mean forces of the remainders, shape (e,), to the means of the characteristics' arguments,
-            shape (e,).
+        means: initial mean values of the characteristics' arguments, shape (e,).
+        resting: function that computes the means of the characteristics' arguments, shape (e,), from the mean forces of the
+            remainders, shape (e,).
     """
     vehicle, lines = line.vehicle, line.slopes
     highest = min(max(HIGHEST, ABOVE * fastest), 0.9 * np.pi / timestep)
@@ -207,7 +211,8 @@ def coefficients(curve: ForceCurve, mean: float, deviation: float) -> Array:
 
 
 def _share_beyond(curve: ForceCurve, mean: float, deviation: float, slope: float) -> float:
-    """Returns the share of the remainder in the variance of a characteristic's force, for a Gaussian argument.
+    """Returns the share of the remainder in the variance of a characteristic's force, if the characteristic's argument is
+    Gaussian.
 
     Args:
         curve: characteristic of the nonlinear spring or damper.
@@ -221,16 +226,16 @@ def _share_beyond(curve: ForceCurve, mean: float, deviation: float, slope: float
 
 
 def _second_order(rho: Array, answer: Array, c: Array, deviations: Array) -> tuple[Array, Array, Array]:
-    """Returns the second-order terms in the equations of the module docstring.
+    """Returns the second-order terms of the equations in the module docstring.
 
     Args:
-        rho: correlations rho_ij of the arguments at T times, shape (T, e, e).
-        answer: impulse responses R at these times, shape (T, e, e).
-        c: Hermite coefficients of each characteristic, shape (e, number of degrees).
+        rho: correlations rho_ij of the characteristics' arguments at T times, shape (T, e, e).
+        answer: impulse responses R at the same T times, shape (T, e, e).
+        c: Hermite coefficients c_n of each characteristic, shape (e, number of degrees).
         deviations: standard deviations of the characteristics' arguments, shape (e,).
 
     Returns:
-        Changes of the mean forces, shape (e,); memory, shape (T, e, e); covariance of the noise, shape (T, e, e).
+        Changes of the mean forces, shape (e,); the memory, shape (T, e, e); the covariance of the noise, shape (T, e, e).
     """
     memory, noise, force = np.zeros_like(rho), np.zeros_like(rho), np.zeros(len(c))
     power = rho  # `power` is rho^(n-1), where n is the degree
@@ -250,7 +255,7 @@ def _adjoint(matrices: Array) -> Array:
 
 
 def _interpolate_matrices(omega: Array, matrices: Array, at: Array) -> Array:
-    """Returns matrices interpolated linearly between frequencies, shape (F, e, e)."""
+    """Returns matrices at other frequencies by linear interpolation, shape (F, e, e)."""
     i = np.clip(np.searchsorted(omega, at) - 1, 0, len(omega) - 2)
     share = np.clip((at - omega[i]) / (omega[i + 1] - omega[i]), 0.0, 1.0)[:, None, None]
     return (1 - share) * matrices[i] + share * matrices[i + 1]
@@ -261,10 +266,10 @@ class Equivalent:
     """Linear equivalent of a vehicle with nonlinear springs or dampers on a random road.
 
     Attributes:
-        vehicle: vehicle in which straight lines replace the nonlinear characteristics.
-        mean: nonzero means of output signals in the unit of the signal, by name.
+        vehicle: vehicle in which the nonlinear characteristics are replaced by straight lines.
+        mean: means of the output signals whose mean is not zero, each in the unit of the signal, by name.
         rounds: number of iterations until the equivalent lines converged; 0 for a linear vehicle.
-        remainder: remainders of the nonlinear characteristics; None if the iteration does not converge.
+        remainder: remainders of the nonlinear characteristics; None if the iteration for them did not converge.
     """
 
     vehicle: Vehicle
@@ -274,7 +279,8 @@ class Equivalent:
 
 
 def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float) -> Equivalent | None:
-    """Returns the linear equivalent of a vehicle; None if its loop is unstable or the iteration does not converge.
+    """Returns the linear equivalent of a vehicle; None if the loop of this equivalent is unstable or the iteration does not
+    converge.
 
     Args:
         vehicle: vehicle that the controller controls.
@@ -289,7 +295,7 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
 
 
 def _with_remainder(line: EquivalentLine, controller: Controller, road: Spectrum, timestep: float) -> Equivalent:
-    """Returns the linear equivalent with the remainders of the characteristics, if the iteration for these converges."""
+    """Returns the linear equivalent; the remainders of the characteristics are included if the iteration for them converges."""
     poles = np.linalg.eigvals(loop_of(line.vehicle, controller).closed_loop.A)
     fastest = float(np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)]).max(initial=0.0))
 
@@ -341,7 +347,9 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
 
 
 def _slope(vehicle: Vehicle, one: "SuspensionPart") -> float:
-    """Returns the slope of a part's force at equilibrium, with respect to the deflection of the part itself [N s/m or N/m]."""
+    """Returns the slope of a part's force at equilibrium, with respect to the deflection or the deflection rate of the part
+    itself [N/m or N s/m].
+    """
     if one.parameter:
         return vehicle.parameters[one.parameter]
     line = next(each.part.line for each in vehicle.elements if each.name == one.element)

@@ -1,8 +1,9 @@
-"""Metrics of the response to a step of the road: peak, overshoot, settling time, integrals of the absolute error.
+"""Metrics of the response to a step of the road: peak, overshoot, settling time, and integrals of the absolute error.
 
 The final value of a height is the height of the step. The final value of any other signal is zero. If a law with `study = true`
-measures heights, a constant force can remain. All signals except velocities and accelerations can then have different final
-values. The error is the distance from the final value. Time starts when the first wheel reaches the step.
+measures heights, a constant force can remain after the step. If a constant force remains after the step, all signals except
+velocities and accelerations can have different final values. The error of a signal is its distance from the final value. Time
+is counted from the moment when the first wheel reaches the step.
 """
 
 import math
@@ -38,15 +39,16 @@ class StepMetrics:
     """Metrics of the step response of one signal.
 
     Attributes:
-        peak: largest value in the direction of the final value. If the final value is zero: value with the largest magnitude.
-        peak_time: time of the peak [s].
-        overshoot: excess of the peak over the final value, relative to the final value. If the final value is zero: largest
-            value of the opposite sign after the peak, relative to the peak.
-        settling_time: time from which the error stays within the band until the end of the run [s]; None if there is no such
+        peak: largest value of the signal in the direction of the final value. If the final value is zero, `peak` is the value
+            with the largest magnitude.
+        peak_time: time at which the peak occurs [s].
+        overshoot: excess of the peak over the final value, relative to the final value. If the final value is zero, `overshoot`
+            is the largest value of the opposite sign after the peak, relative to the peak.
+        settling_time: time after which the error stays within the band until the end of the run [s]; None if there is no such
             time.
         settled: "settled"; "not settled" if the run ends outside the band; "never outside" if the error never leaves the band.
-        iae: integral of the absolute error over the run [unit of the signal times s].
-        itae: integral of the time multiplied by the absolute error [unit of the signal times s2].
+        iae: integral of the absolute error over the run [signal unit times s].
+        itae: integral of time multiplied by the absolute error over the run [signal unit times s2].
     """
 
     peak: float
@@ -74,11 +76,11 @@ class SignalSteps:
 
     Attributes:
         unit: SI unit of the signal.
-        final: final value of the signal.
-        half_band: half width of the band, in the unit of the signal.
-        mujoco: metrics in MuJoCo, interpolated between samples; None if the run was aborted.
+        final: final value of the signal after the step.
+        half_band: half of the width of the settling band, in the unit of the signal.
+        mujoco: metrics of the MuJoCo response, interpolated between samples; None if the run was aborted.
         sampled: metrics of the exact sampled response, interpolated between samples.
-        continuous: metrics of the continuous linear response, exact between samples; None with semi-active dampers.
+        continuous: metrics of the continuous-time linear response, exact between samples; None with semi-active dampers.
     """
 
     unit: str
@@ -95,15 +97,15 @@ def step_of(road: Road) -> Step | None:
 
 
 def check_band(road: Road, percent: float, given: bool) -> None:
-    """Checks the band for settling times.
+    """Checks the width of the band that defines settling times.
 
     Args:
         road: road of the run.
-        percent: half width of the band [%].
-        given: True if the user chose the band, instead of the default.
+        percent: half of the width of the settling band [%].
+        given: True if the user chose the width of the band; False for the default width.
 
     Raises:
-        InputError: the band is out of range, or a band is given for a road that is not a step.
+        InputError: the width of the band is out of range, or a width is supplied although the road is not a step.
     """
     low, high = BANDS
     if not low <= percent <= high:
@@ -116,10 +118,10 @@ def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float)
     """Returns the step metrics of a signal.
 
     Args:
-        pieces: the signal over the run, as polynomials between samples.
-        final: final value of the signal.
-        height: True if the final value is not zero, for example for a height.
-        half_band: half width of the band, in the unit of the signal.
+        pieces: the signal over the run, as polynomials between the samples.
+        final: final value of the signal after the step.
+        height: True if the final value of the signal is not zero, for example for a height.
+        half_band: half of the width of the settling band, in the unit of the signal.
     """
     error = pieces.less(final)
     if height:
@@ -144,12 +146,12 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
 
     Args:
         run: run over a `Step`.
-        percent: half width of the band [%], relative to the final value. If the final value is zero, the width is relative to the
-            peak of the continuous response (or else of the sampled response).
-        continuous: signals of the continuous response, exact between samples; None if they have not been computed yet.
+        percent: half of the width of the settling band [%], relative to the final value. If the final value is zero, the width
+            is relative to the peak of the continuous response, or else to that of the sampled response.
+        continuous: signals of the continuous-time response, exact between samples; None if they have not been computed yet.
 
     Raises:
-        InputError: the road is not a step, or the band is out of range.
+        InputError: the road is not a step, or the width of the band is out of range.
     """
     step = step_of(run.road)
     check_band(run.road, percent, True)
@@ -189,7 +191,7 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
 def _lasting_outputs(run: Run) -> Array:
     """Returns the final values of all output signals after a step of 1 m under all wheels, shape (p,).
 
-    For an unstable loop, the values are computed without a control force.
+    For an unstable loop, the final values are computed without a control force.
     """
     model, loop = run.vehicle.linear_model, run.prediction.loop
     usual = model.Cr.sum(axis=1)
@@ -215,13 +217,13 @@ RECORD = Record[SignalSteps](
 def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]], percent: float) -> Document:
     """Returns the printed document about step responses.
 
-    The first table compares the MuJoCo runs by one signal: a height, or the suspension travel if no height is available.
-    `-v` adds a table of all signals for each run.
+    The first table compares the MuJoCo runs by one signal, which is a height or, if no height is available, the suspension
+    travel. With `-v`, the document has an additional table of all signals for each run.
 
     Args:
         runs: runs over the step.
         measured: step metrics of each run, by name of the signal.
-        percent: half width of the band [%].
+        percent: half of the width of the settling band [%].
     """
     heights = runs[0].vehicle.linear_model.heights
     common = [name for name in measured[0] if all(name in each for each in measured)] or [*measured[0]]
@@ -252,6 +254,6 @@ def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]],
 
 
 def _columns(*names: str) -> list[Field[Any]]:
-    """Returns the columns of a table; each row contains a text for each of `names`, followed by step metrics or None."""
+    """Returns the columns of a table in which each row contains a text for each of `names`, followed by step metrics or None."""
     words = [Field[Any](name, lambda row, i=i: row[i]) for i, name in enumerate(names)]
     return [*words, *(replace(one, value=lambda row, one=one: row[-1] and one.value(row[-1])) for one in COLUMNS)]

@@ -1,12 +1,14 @@
-"""The frequency weighting W_k of ISO 2631-1, continuous and sampled.
+"""The frequency weighting W_k of ISO 2631-1 as a continuous-time filter and as a sampled filter.
 
-The constants of the transfer function H(s) are in `models/laws/filter.py`. Controller designs can use the same weighting.
+The constants of the transfer function H(s) are in `models/laws/filter.py`. Controller designs can use the same frequency
+weighting.
 
-The sampled filter is exactly H with a first-order hold. The filter consists of parallel second-order recursions, one for each
-pair of poles. The hold attenuates high frequencies by the factor d / (omega h)^2 with d = 2 - 2 cos(omega h) and the timestep h.
-A filter with seven taps compensates for this attenuation: 1 + d/12 + d^2/90 + d^3/560, from the series of the squared arcsine.
-The remaining relative error is (omega h)^8 / 3150. At 80 Hz, the error is 3e-6 for a timestep of 1 ms and 1e-4 for 2 ms. For 5
-ms, the error is 0.3 % at 40 Hz and 5 % at 100 Hz, the Nyquist frequency.
+The sampled filter is exactly H with a first-order hold at the input. The sampled filter consists of parallel second-order
+recursions, one for each pair of poles. The hold attenuates high frequencies by the factor d / (omega h)^2, where d = 2 - 2
+cos(omega h), and h is the timestep. A filter with seven taps compensates for the attenuation that the hold causes. For d = 2 -
+2 cos(omega h), the filter is 1 + d/12 + d^2/90 + d^3/560, the first terms of the series of the squared arcsine. The relative
+error that remains is (omega h)^8 / 3150. At 80 Hz, the error is 3e-6 for a timestep of 1 ms, and 1e-4 for a timestep of 2 ms.
+For a timestep of 5 ms, the error is 0.3 % at 40 Hz and 5 % at 100 Hz, the Nyquist frequency.
 """
 
 from dataclasses import dataclass
@@ -28,13 +30,13 @@ POLES = ((F1, Q1), (F2, Q2), (F4, Q4), (F6, Q6))  # frequency [Hz] and quality f
 
 
 def wk(omega: Array) -> Array:
-    """Returns the complex response of W_k at positive frequencies [rad/s], with the shape of `omega`."""
+    """Returns the complex frequency response of W_k at positive frequencies [rad/s], with the shape of `omega`."""
     s = 1j * np.asarray(omega, dtype=float)
     return _zeros(s) / np.prod([_pair(s, f, q) for f, q in POLES], axis=0)
 
 
 def _zeros(s: Array) -> Array:
-    """Returns the numerator of H(s), which has two zeros at 0, one at -w3, and a complex pair with frequency w5."""
+    """Returns the numerator of H(s), which has two zeros at 0, one zero at -w3, and a complex pair of zeros with frequency w5."""
     w2, w3, w4, w5, w6 = (2 * np.pi * f for f in (F2, F3, F4, F5, F6))
     return s**2 * (1 + s / w3) * (1 + s / (Q5 * w5) + (s / w5) ** 2) * (w5 / w6) ** 2 * (w2 * w4 * w6) ** 2
 
@@ -47,11 +49,11 @@ def _pair(s: Array, f: float, q: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SampledWk:
-    """W_k for sampled signals: the sum of four parallel filters, with a delay of three samples.
+    """The weighting W_k for sampled signals, as a sum of four parallel filters with a delay of three samples.
 
     Attributes:
-        numerators: numerators by powers of 1/z, shape (4, 9).
-        poles: pole of each filter with a positive imaginary part, shape (4,), complex.
+        numerators: numerator coefficients of the four filters, by powers of 1/z, shape (4, 9).
+        poles: pole of each of the four filters that has a positive imaginary part, shape (4,), complex.
     """
 
     numerators: Array
@@ -59,18 +61,19 @@ class SampledWk:
 
     @property
     def denominators(self) -> Array:
-        """Denominators by powers of 1/z, shape (4, 3)."""
+        """Denominator coefficients of the four filters, by powers of 1/z, shape (4, 3)."""
         return np.stack([np.ones(len(self.poles)), -2 * np.real(self.poles), np.abs(self.poles) ** 2], axis=1)
 
     def __call__(self, signals: Array, memory: Array | None) -> tuple[Array, Array]:
         """Filters the next samples of N signals.
 
         Args:
-            signals: next T samples of N signals, shape (N, T).
-            memory: memory that this function returned for the previous samples; None before the first sample.
+            signals: the next T samples of each of N signals, shape (N, T).
+            memory: filter memory that this function returned for the previous samples; None before the first sample.
 
         Returns:
-            Weighted signals, shape (N, T), and the last samples of the signals with the states of the filters, shape (N, 16).
+            Weighted signals, shape (N, T), and the filter memory, which contains the last samples of the signals and the states
+            of the filters, shape (N, 16).
         """
         count, taps = self.numerators.shape
         memory = np.zeros((len(signals), taps - 1 + 2 * count)) if memory is None else memory
@@ -94,12 +97,12 @@ class SampledWk:
 
 
 def after_samples(Phi: Array, forcing: Array, start: Array) -> Array:
-    """Returns the states after each sample of x[k+1] = Phi x[k] + forcing[k] from x[0] = `start`, shape (N, T, n)."""
+    """Returns the states x after each sample, where x[k+1] = Phi x[k] + forcing[k] and x[0] = `start`, shape (N, T, n)."""
     return recursion(Phi, np.concatenate([forcing, np.zeros_like(forcing[:, :1])], axis=1), start[:, None])[:, 1:]
 
 
 def sampled_wk(timestep: float) -> SampledWk:
-    """Returns W_k for signals with a sample period of `timestep` [s]."""
+    """Returns the filter W_k for signals with a sample period of `timestep` [s]."""
     numerators, poles = [], []
     for f, q in POLES:
         w = 2 * np.pi * f

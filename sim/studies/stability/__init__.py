@@ -1,6 +1,6 @@
-"""Stability margins of a loop, predicted by linear analysis and found in MuJoCo.
+"""Stability margins of a loop, both predicted by linear analysis and found in MuJoCo.
 
-Start with `margin_search`, which contains `find_margins`. `edge` uses MuJoCo to search for the smallest gain factor, delay or
+Start with `margin_search`, which contains `find_margins`. `edge` searches in MuJoCo for the smallest gain factor, delay or
 sample period that makes a loop unstable.
 """
 

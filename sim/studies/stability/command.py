@@ -1,4 +1,4 @@
-"""The study of margins for gain, phase, delay and sample period, predicted by linear analysis and found in MuJoCo."""
+"""The study of margins for gain, phase, delay and sample period, both predicted by linear analysis and found in MuJoCo."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from sim.studies.study import Study
 
 
 class MarginsCommand(Study):
-    """Texts and options of `sim.studies.stability.study.MarginsStudy`."""
+    """Printed texts and command options of `sim.studies.stability.study.MarginsStudy`."""
 
     description = "Find the margins of a control loop for gain, phase, delay and sample period."
     epilog = """

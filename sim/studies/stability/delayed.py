@@ -1,10 +1,11 @@
 """Slowest mode of a loop whose forces are delayed by many samples, computed without all eigenvalues of the pending forces.
 
-If the delay is d samples, the state of the loop contains d pending forces. The eigenvalues of the map from one sample to the next
-have almost equal magnitudes. An iteration can therefore not separate the largest eigenvalue from the others. This module uses the
-d-th power of the map, which leads from one state to the state after a whole delay. The eigenvalues of this power are well
-separated, because decaying modes have nearly vanished after one delay. A few dozen applications of this power therefore suffice
-(Arnoldi's method; Lehoucq, Sorensen, Yang 1998, ARPACK Users' Guide).
+If the delay is d samples, the state of the loop contains d pending forces, which the law has computed but which do not act yet.
+The map from the state at one sample to the state at the next sample has eigenvalues of almost equal magnitude. An iteration of
+the map can therefore not separate the largest eigenvalue from the others. This module uses the d-th power of the map, which
+leads from one state to the state after the whole delay. The eigenvalues of the d-th power are well separated, because decaying
+modes have nearly vanished after the delay. A few dozen applications of the d-th power therefore suffice (Arnoldi's method;
+Lehoucq, Sorensen, Yang 1998, ARPACK Users' Guide).
 """
 
 import numpy as np
@@ -44,7 +45,7 @@ def mode(cut: StateSpace, delay: int, over_delay: complex) -> tuple[complex, Arr
 
 
 def _slowest_over_delay(cut: StateSpace, delay: int) -> complex:
-    """Returns the largest eigenvalue of the map from one state to the state after a whole delay."""
+    """Returns the largest eigenvalue of the map from one state to the state after the whole delay."""
     Phi, Gamma, G, (n, m) = cut.A, cut.B, cut.C, cut.B.shape
     size = n + delay * m
     moved = np.empty((delay + 1, n, n))  # powers 0 to `delay` of the state matrix Phi

@@ -1,10 +1,10 @@
 """Search for a stability limit in MuJoCo: the smallest gain factor, delay or sample period that makes a loop unstable.
 
-Each of these three quantities is called the *amount* of a search.
+Gain factor, delay and sample period are each called the *amount* of a search.
 
-The derivative of MuJoCo's step shows whether a loop is stable (`simulated_loop.py`). Two runs then confirm the limit: one run
-decays, and the other grows. Each run starts in the slowest mode of its loop, so that growth or decay is visible immediately. The
-duration of a run depends on the rate of this mode.
+The derivative of MuJoCo's step shows whether a loop is stable (`simulated_loop.py`). Two runs then confirm the stability limit,
+because one of them decays and the other grows. Each run starts in the slowest mode of its loop, so that growth or decay is
+visible from the start. The duration of a run depends on the growth or decay rate of the slowest mode.
 """
 
 import math
@@ -35,7 +35,7 @@ SLOWEST = 8.0  # s; longest delay, and longest sample period, that is simulated 
 
 
 def no_progress(message: str) -> None:
-    """Ignores a message about progress."""
+    """Ignores the message about progress."""
 
 
 @dataclass(eq=False)
@@ -44,14 +44,14 @@ class StabilityEdge:
 
     Attributes:
         step: derivative of MuJoCo's step, see `step_derivative`.
-        trial: function that returns the loop for an amount: a gain factor, delay or sample period.
-        expected: predicted limit, where the search starts; infinite if every amount is predicted to be stable.
-        most: largest amount to try if `expected` is infinite.
-        multiple: step of the amounts if only integer multiples of it are allowed; 0 if any positive amount is allowed.
-        stable: largest stable amount below `unstable`. An amount of zero is assumed to be stable.
-        unstable: smallest unstable amount; infinite if all tried amounts are stable.
-        searched: True after the search.
-        runs: growth rate of each run on the two sides of the limit [1/s], by amount; NaN if a run is too short to show the rate.
+        trial: function that returns the loop for an amount, which is a gain factor, delay or sample period.
+        expected: predicted stability limit, at which the search starts; infinite if every amount is predicted to be stable.
+        most: largest amount that the search tries if `expected` is infinite.
+        multiple: step of the amounts if only integer multiples of this step are allowed; 0 if any positive amount is allowed.
+        stable: largest amount below `unstable` that was found to be stable. An amount of zero is assumed to be stable.
+        unstable: smallest amount that was found to be unstable; infinite if all tried amounts are stable.
+        searched: True after the search has ended.
+        runs: growth rate of each run below and above the limit [1/s], by amount; NaN if a run is too short to show the rate.
     """
 
     step: StateSpace
@@ -73,29 +73,31 @@ class StabilityEdge:
 
     @property
     def decided(self) -> bool:
-        """False if a run is too short to show its growth rate."""
+        """False if a run is too short to show the growth rate of its mode."""
         return not any(map(math.isnan, self.runs.values()))
 
     @property
     def confirmed(self) -> bool:
-        """False if a run grows although the derivative of MuJoCo's step predicts decay, or the reverse."""
+        """False if a run grows although the derivative of MuJoCo's step predicts decay, or decays although growth is
+        predicted.
+        """
         return not any(not math.isnan(rate) and (rate > 0) != (amount == self.unstable) for amount, rate in self.runs.items())
 
     @property
     def found(self) -> float:
-        """Stability limit if the amount may be any real number: geometric mean of `stable` and `unstable`; NaN if the runs are
-        not decisive.
+        """Stability limit if the amount may be any real number: the geometric mean of `stable` and `unstable`; NaN if the runs
+        are not decisive.
         """
         return math.nan if not self.decided else math.sqrt(self.stable * self.unstable)
 
     def loop(self, amount: float) -> SimulatedLoop:
-        """Returns the MuJoCo loop for an amount: a gain factor, delay or sample period."""
+        """Returns the MuJoCo loop for an amount, which is a gain factor, delay or sample period."""
         if amount not in self._loops:
             self._loops[amount] = simulated_loop(self.step, self.trial(amount))
         return self._loops[amount]
 
     def search(self) -> None:
-        """Searches for the limit with the derivative of MuJoCo's step, without runs."""
+        """Searches for the stability limit with the derivative of MuJoCo's step, without runs."""
 
         def grows(amount: float) -> bool:
             return self.loop(amount).grows
@@ -105,14 +107,14 @@ class StabilityEdge:
 
 
 def smallest_unstable(grows: Callable[[float], bool], expected: float, most: float, multiple: float = 0.0) -> tuple[float, float]:
-    """Returns the two ends of an interval that contains the stability limit: a stable amount and an unstable amount.
+    """Returns the ends of an interval that contains the stability limit: a stable amount and an unstable amount.
 
-    The search first tries both sides of the expected limit. If the limit is not between these two amounts, the search begins at
-    the smallest amount.
+    The search first tries an amount on each side of the expected limit. If the limit is not between the two amounts that are
+    tried first, the search begins again at the smallest amount.
 
     Args:
-        grows: function that returns True if an amount is unstable.
-        expected, most, multiple: see `StabilityEdge`.
+        grows: function that returns True if the loop is unstable for an amount.
+        expected, most, multiple: attributes of the search, see `StabilityEdge`.
     """
 
     def multiples(amounts: Sequence[float]) -> list[float]:
@@ -141,12 +143,12 @@ def smallest_unstable(grows: Callable[[float], bool], expected: float, most: flo
 
 
 def search_and_run(edges: Sequence[StabilityEdge], progress: Callable[[str], None] = no_progress) -> None:
-    """Searches for stability limits, and simulates runs on both sides of each limit in one batch.
+    """Searches for stability limits, and simulates two runs at each limit, one on each side; all runs form one batch.
 
-    The runs are omitted if the observer `growth` is not installed.
+    No run is simulated if the observer `growth` is not installed.
 
     Args:
-        edges: searches to run, all with the same timestep.
+        edges: searches for stability limits, all with the same timestep.
         progress: callback that receives a line about the progress.
     """
     for number, edge in enumerate(edges):
@@ -162,9 +164,9 @@ def search_and_run(edges: Sequence[StabilityEdge], progress: Callable[[str], Non
 
 
 def rates_of_runs(trials: Sequence[LoopCase], loops: Sequence[SimulatedLoop]) -> list[float]:
-    """Simulates runs that start in the slowest mode of their loop; returns their growth rates [1/s].
+    """Simulates runs that each start in the slowest mode of a loop; returns the growth rates of these modes [1/s].
 
-    A rate is NaN if the mode changes too little during its run.
+    A growth rate is NaN if the mode changes too little during the run.
     """
     if not trials:
         return []
@@ -185,20 +187,20 @@ def rates_of_runs(trials: Sequence[LoopCase], loops: Sequence[SimulatedLoop]) ->
 
 
 def _without_rate_limit(vehicle: Vehicle) -> Vehicle:
-    """Returns the vehicle without a limit on the rate of its forces, so that the motion stays linear."""
+    """Returns the vehicle without a limit on the rate of control forces, so that the motion stays linear."""
     limits = vehicle.limits
     return vehicle if limits.force_rate is None else replace(vehicle, limits=replace(limits, force_rate=None))
 
 
 def _duration(loop: SimulatedLoop) -> float:
-    """Returns a duration [s] for a run in which the mode changes clearly and all pending forces act."""
+    """Returns a duration [s] of a run, long enough for a clear change of the mode and for all pending forces to act."""
     rate = max(abs(loop.rate), CLEAR / SLOW)
     needed = min(max(CHANGE / rate, SHORTEST), max(LONGEST, min(20 * CLEAR / rate, SLOW)))
     return max(math.ceil(needed / loop.loop.period), loop.delay + 2) * loop.loop.period
 
 
 def _rate(state: Array, start: Array, loop: SimulatedLoop, duration: float) -> float:
-    """Returns the growth rate of a mode between two states of a run [1/s]; NaN if the mode changes too little.
+    """Returns the growth rate of a mode, computed from two states of a run [1/s]; NaN if the mode changes too little.
 
     Args:
         state: state of the loop at the end of the run, shape (n,).

@@ -1,4 +1,4 @@
-"""Figure of stability margins: growth rate of the slowest mode as a function of gain factor, delay and sample period."""
+"""Figure of stability margins, with the growth rate of the slowest mode against gain factor, delay and sample period."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -29,10 +29,10 @@ MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
 
 
 def margins_figure(found: StabilityMargins) -> Figure:
-    """Returns a figure of the growth rate of the slowest mode.
+    """Returns a figure of the growth rate of the loop's slowest mode.
 
-    Lines are computed from the poles of the sampled linear loop, and points from the derivative of MuJoCo's step. The margin is
-    where the growth rate is zero.
+    Lines show values from the poles of the sampled linear loop, and points show values from the derivative of MuJoCo's step.
+    The margin is the point at which the growth rate is zero.
     """
     controller, vehicle, loop, built = found.controller, found.vehicle, found.loops[""], found.implemented_loops.get("")
     timestep = loop.timestep
@@ -80,16 +80,16 @@ def _both(field: Field[float], predicted: float, found: float) -> str:
 
 
 def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[[LoopCase], float], scale: float) -> Panel:
-    """Returns a panel with the growth rate as a function of the amount: a predicted line, and points from MuJoCo.
+    """Returns a panel with the growth rate against the amount, as a predicted line and points from MuJoCo.
 
-    The points include the two amounts between which the growth rate measured in MuJoCo changes sign.
+    The points include the two amounts between which the sign of the growth rate in MuJoCo changes.
 
     Args:
         title: title of the panel.
-        label: label of the axis that shows the amount.
-        search: finished search for the stability limit.
+        label: label of the axis for the amount.
+        search: finished search for the stability limit, with its amounts.
         rate: function that returns the predicted growth rate of a loop [1/s].
-        scale: factor from SI units to the unit of the label.
+        scale: factor that converts an amount from SI units to the unit of the label.
     """
     # The plot ends soon after the margin, because larger growth rates are of no interest.
     end = 1.35 * search.unstable if math.isfinite(search.unstable) else search.stable
@@ -107,6 +107,8 @@ def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[
 
 
 def _multiples(amounts: Sequence[float], multiple: float) -> Array:
-    """Returns amounts rounded to positive multiples of `multiple`, without duplicates; unchanged if `multiple` is 0."""
+    """Returns the amounts after rounding to positive multiples of `multiple`, without duplicates; unchanged if `multiple` is
+    0.
+    """
     given = np.array(amounts)
     return np.unique(np.maximum(np.round(given / multiple), 1) * multiple if multiple else given)

@@ -1,6 +1,6 @@
-"""Stability margins of a loop, predicted from its transfer function and found in MuJoCo.
+"""Stability margins of a loop, predicted from the loop transfer function and found in MuJoCo.
 
-Start with `find_margins`. `edge.py` contains the search in MuJoCo.
+Start with `find_margins`. `edge.py` contains the search for stability limits in MuJoCo.
 """
 
 import math
@@ -41,18 +41,19 @@ WITHOUT_END = 1.5
 
 @dataclass(frozen=True, eq=False)
 class GainMargin:
-    """Upper or lower gain margin of a loop, predicted and found in MuJoCo; infinite if no factor makes the loop unstable.
+    """Upper or lower gain margin of a loop, predicted and found in MuJoCo; infinite if no gain factor makes the loop unstable.
 
-    MuJoCo holds the force over a timestep, so it simulates a sampled loop. For small steps, the margin of the sampled loop
-    approaches that of the continuous loop with an error proportional to the timestep. If these margins differ at the given
-    timestep, MuJoCo's margins at two smaller steps, h and h/2, are extrapolated to a step of 0. `at_prediction` chooses h.
+    MuJoCo holds the force during each timestep, so that the simulated loop is a sampled loop. For small timesteps, the margin
+    of the sampled loop approaches that of the continuous loop with an error proportional to the timestep. If the margins of the
+    sampled and the continuous loop differ at the requested timestep, two smaller timesteps h and h/2 are simulated. MuJoCo's
+    margins at both timesteps are extrapolated to a timestep of 0. `at_prediction` chooses h.
 
     Attributes:
-        own: predicted margin of the continuous loop.
-        sampled: predicted margins of the sampled loop, as RK4 integrates it, at the timesteps of the searches.
-        search: search for the margin in MuJoCo at the given timestep.
-        finer: search at half the timestep or less, which runs only if it is needed.
-        coarser: search at twice the step of `finer`; None if `search` has this step.
+        own: predicted gain margin of the continuous loop.
+        sampled: predicted gain margins of the sampled loop, as RK4 integrates it, at the timesteps of the searches.
+        search: search for the gain margin in MuJoCo at the requested timestep.
+        finer: search at half the timestep or less, which is run only if necessary.
+        coarser: search at twice the timestep of `finer`; None if `search` has this timestep.
     """
 
     own: float
@@ -71,16 +72,16 @@ class GainMargin:
         trial: Callable[[float], LoopCase],
         most: float,
     ) -> "GainMargin":
-        """Prepares the searches for a margin at the given timestep and at smaller steps, without running them.
+        """Prepares the searches for a margin at the requested timestep and at smaller timesteps, without running them.
 
-        The smaller steps are chosen such that extrapolating the last two steps gives the margin of the continuous loop.
+        The smaller timesteps are chosen so that extrapolation of the last two margins gives the margin of the continuous loop.
 
         Args:
-            own: predicted margin of the continuous loop.
-            sampled: function that returns the predicted margin of the sampled loop for a timestep [s].
+            own: predicted gain margin of the continuous loop.
+            sampled: function of the timestep [s] that returns the predicted margin of the sampled loop.
             timestep: timestep of the simulation [s].
-            derivative: function that returns the derivative of MuJoCo's step for a timestep [s].
-            trial, most: see `StabilityEdge`.
+            derivative: function of the timestep [s] that returns the derivative of MuJoCo's step.
+            trial, most: attributes of each search, see `StabilityEdge`.
         """
         steps = [timestep, timestep / 2]
         amounts = [sampled(step) for step in steps]
@@ -98,42 +99,45 @@ class GainMargin:
 
     @property
     def tried(self) -> list[tuple[float, StabilityEdge]]:
-        """Finished searches, each with the predicted margin of the sampled loop at its timestep."""
+        """Finished searches, each with the predicted margin of the sampled loop at the timestep of the search."""
         return [(at, one) for at, one in zip(self.sampled, self.searches, strict=True) if one.searched]
 
     @staticmethod
     def limit(coarse: float, fine: float) -> float:
-        """Returns the extrapolation of a margin to a timestep of 0; infinite if the margin grows without limit.
+        """Returns a margin extrapolated to a timestep of 0; infinite if the margin grows without limit.
 
         Args:
             coarse: margin at the longer timestep.
-            fine: margin at half this timestep.
+            fine: margin at half of the longer timestep.
         """
         return math.inf if fine > WITHOUT_END * coarse or math.isinf(fine) else 2 * fine - coarse
 
     @staticmethod
     def shown_by(own: float, coarse: float, fine: float) -> bool:
-        """Returns True if extrapolating the sampled loop's margins at two steps gives the margin of the continuous loop.
+        """Returns True if extrapolation of the sampled loop's margins at two timesteps gives the margin of the continuous loop.
 
         Args:
             own: margin of the continuous loop.
             coarse: margin at the longer timestep.
-            fine: margin at half this timestep.
+            fine: margin at half of the longer timestep.
         """
         within = max(abs(fine - coarse) / 2, AGREES * own)
         return all(_close(own, GainMargin.limit(coarse, share * fine), within) for share in (1 - ENDS, 1 + ENDS))
 
     @property
     def doubtful(self) -> bool:
-        """True if the margin found at the given timestep differs from the predicted margin of the continuous loop."""
+        """True if the margin that was found at the requested timestep differs from the predicted margin of the continuous
+        loop.
+        """
         return not _close(self.own, self.search.found, AGREES * self.own)
 
     @property
     def found(self) -> float:
-        """Margin found in MuJoCo, extrapolated to a timestep of 0 if finer searches ran.
+        """Margin that was found in MuJoCo, extrapolated to a timestep of 0 if finer searches ran.
 
-        The margin is infinite if it grows without limit as the timestep decreases, because then only sampling limits the gain.
-        The margin is NaN if it still grows at the smallest timestep, although the continuous loop has a larger finite margin.
+        The margin is infinite if it grows without limit as the timestep decreases, because in this case only sampling limits
+        the gain. The margin is NaN if it still grows at the smallest timestep although the margin of the continuous loop is
+        finite and larger.
         """
         if not self.finer.searched:
             return self.search.found
@@ -143,15 +147,16 @@ class GainMargin:
 
     @property
     def extrapolated(self) -> bool:
-        """True if the margin found is an extrapolation from two timesteps."""
+        """True if the margin was extrapolated from two timesteps."""
         return self.finer.searched and math.isfinite(self.found)
 
     @property
     def agrees(self) -> bool:
-        """True if MuJoCo confirms the predicted margin of the sampled loop at each timestep, and of the continuous loop.
+        """True if MuJoCo confirms the predicted margins of the sampled loop at each timestep, and the predicted margin of the
+        continuous loop.
 
-        The error of an extrapolation is of second order in the timestep. The error is less than half of the change between the
-        two steps.
+        The error of an extrapolated margin is of second order in the timestep. The error of an extrapolated margin is less than
+        half of the difference between the margins at the two timesteps.
         """
         here = all(_close(at, search.found, AGREES * at) and search.confirmed for at, search in self.tried)
         coarse, fine = (one.found for one in self.searches[-2:])
@@ -165,13 +170,13 @@ class LoopMargins:
 
     Attributes:
         predicted: margins that are computed from the loop transfer function.
-        gain: upper gain margin: the largest stable gain factor.
-        gain_lower: lower gain margin: the inverse of the smallest stable gain factor.
-        delay: search for the smallest unstable delay; for an implemented loop, in addition to the delay that the loop already
-            has.
-        sample_period: search for the smallest unstable sample period; not run for an implemented loop.
+        gain: upper gain margin, which is the largest stable gain factor.
+        gain_lower: lower gain margin, which is the inverse of the smallest stable gain factor.
+        delay: search for the smallest unstable delay; for an implemented loop, this delay is added to the delay that the loop
+            already has.
+        sample_period: search for the smallest unstable sample period, which is not run for an implemented loop.
         timestep: timestep of the simulation [s].
-        predicted_delay: smallest unstable delay of the linear loop [s].
+        predicted_delay: smallest delay for which the linear loop is unstable [s].
         late_grows, slow_grows: functions that return True if the linear loop is unstable with a delay (`late_grows`) or a sample
             period (`slow_grows`) [s], each a multiple of the timestep.
     """
@@ -188,30 +193,32 @@ class LoopMargins:
 
     @property
     def found_gain_lower(self) -> float:
-        """Largest unstable gain factor below 1; 0 if all factors below 1 are stable."""
+        """Largest gain factor below 1 that makes the loop unstable; 0 if all factors below 1 are stable."""
         return 1 / self.gain_lower.found
 
     @property
     def found_sample_period(self) -> float:
-        """Longest stable sample period below the first unstable one [s]; infinite if all periods are stable, NaN if the limit
-        is unknown.
+        """Longest stable sample period below the shortest unstable sample period [s]; infinite if all sample periods are
+        stable, NaN if the limit is unknown.
         """
         edge = self.sample_period
         return edge.unstable - self.timestep if _is_seen(edge, self.predicted.sample_period) else math.nan
 
     @property
     def found_delay(self) -> float:
-        """Smallest unstable delay [s]; infinite if all delays are stable, NaN if the runs are not decisive."""
+        """Smallest delay that makes the loop unstable [s]; infinite if all delays are stable, NaN if the runs are not
+        decisive.
+        """
         return self.delay.unstable if _is_seen(self.delay, self.predicted_delay) else math.nan
 
     @property
     def found_phase(self) -> float:
-        """Phase lag that the found delay causes at the crossover frequency [rad]."""
+        """Phase lag at the crossover frequency that is due to the delay found in MuJoCo [rad]."""
         return self.found_delay * self.predicted.frequency if math.isfinite(self.found_delay) else self.found_delay
 
     @property
     def agrees(self) -> bool:
-        """True if all margins agree with the prediction: gain margins to 0.5 %, delay and sample period to one timestep."""
+        """True if all margins agree with their predictions: gain margins to 0.5 %, delay and sample period to one timestep."""
         return (
             self.gain.agrees
             and self.gain_lower.agrees
@@ -226,11 +233,11 @@ class LoopMargins:
 
 
 def _passed_over(edge: StabilityEdge, grows: Callable[[float], bool] | None) -> bool:
-    """Returns True if the linear loop, evaluated only at multiples of the timestep, has the same limit as MuJoCo.
+    """Returns True if the linear loop, evaluated only at multiples of the timestep, has the same stability limit as MuJoCo.
 
     Args:
         edge: finished search for a stability limit.
-        grows: function that returns True if the linear loop is unstable with an amount.
+        grows: function that returns True if the linear loop is unstable for an amount.
     """
     if grows is None or not edge.unstable > edge.expected:
         return False
@@ -238,7 +245,7 @@ def _passed_over(edge: StabilityEdge, grows: Callable[[float], bool] | None) -> 
 
 
 def _is_seen(edge: StabilityEdge, predicted: float) -> bool:
-    """Returns True if a search is finished, its runs are decisive, and the predicted limit [s] is within the range of the
+    """Returns True if a search is finished, its runs are decisive, and the predicted limit [s] lies within the range of the
     search.
     """
     within = math.isinf(predicted) or predicted < SLOWEST or math.isfinite(edge.unstable)
@@ -246,24 +253,24 @@ def _is_seen(edge: StabilityEdge, predicted: float) -> bool:
 
 
 def _close(predicted: float, measured: float, within: float) -> bool:
-    """Returns True if a margin agrees with its prediction within a tolerance. NaN (undecided) counts as agreement."""
+    """Returns True if a margin agrees with its prediction within a tolerance. An undecided margin (NaN) counts as agreement."""
     return predicted == measured or math.isnan(measured) or abs(predicted - measured) <= within < math.inf
 
 
 def find_margins(
     vehicle: Vehicle, controller: Controller, timestep: PositiveTime, progress: Callable[[str], None] = no_progress
 ) -> dict[str, LoopMargins]:
-    """Predicts gain, phase and delay margins and the largest sample period of a loop, and measures them in MuJoCo.
+    """Predicts the gain, phase and delay margins and the largest sample period of a loop, and measures them in MuJoCo.
 
     Args:
-        vehicle: vehicle whose `[implementation]` is ignored.
+        vehicle: vehicle of the loop; its `[implementation]` section is ignored.
         controller: controller with a stable loop.
         timestep: timestep of the simulation [s].
         progress: callback that receives a line about the progress.
 
     Returns:
-        Margins by name of the loop. The name "" is the loop that is cut at all actuators. For several actuators, each name of a
-        force is the loop that is cut at this force while the loops of the other forces are closed.
+        Stability margins by name of the loop. The name "" denotes the loop that is cut at all actuators. For several actuators,
+        the name of a force denotes the loop that is cut at this force while all other force loops are closed.
 
     Raises:
         InputError: the controller belongs to a different vehicle, or the timestep is invalid.
@@ -286,13 +293,17 @@ def find_margins(
 
 
 def loops_of(vehicle: Vehicle) -> dict[str, list[int]]:
-    """Returns the indices of the actuators at which each loop is cut, by name of the loop; see `find_margins`."""
+    """Returns the indices of the actuators at which each loop is cut, by name of the loop; `find_margins` explains these
+    names.
+    """
     names = vehicle.linear_model.inputs
     return {"": list(range(len(names)))} | ({name: [i] for i, name in enumerate(names)} if len(names) > 1 else {})
 
 
 def find_all(loops: Sequence[LoopMargins], progress: Callable[[str], None] = no_progress) -> None:
-    """Runs the searches of loops, which may belong to several controllers. Runs with the same timestep form one batch."""
+    """Runs the searches for the margins of loops, which may belong to several controllers. Runs with the same timestep are
+    simulated in one batch.
+    """
     gains = [gain for one in loops for gain in (one.gain, one.gain_lower)]
     others = [search for one in loops for search in (one.delay, one.sample_period) if search.most]
     search_and_run([*(gain.search for gain in gains), *others], progress)
@@ -302,10 +313,10 @@ def find_all(loops: Sequence[LoopMargins], progress: Callable[[str], None] = no_
 
 
 def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
-    """Returns the predicted margins of a loop, with prepared searches for these margins in MuJoCo.
+    """Returns the predicted margins of a loop, and searches for the same margins in MuJoCo that are prepared but not run.
 
     Args:
-        vehicle: vehicle without sample period, delay and noise.
+        vehicle: vehicle without sample period, delay and measurement noise.
         controller: controller of the loop.
         actuators: indices of the actuators at which the loop is cut.
         timestep: timestep of the simulation [s].
@@ -346,12 +357,13 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
 
 
 def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
-    """Like `searches`, but for the loop with the sample period and the delay of the vehicle file.
+    """Returns predicted margins and searches as `searches` does, but for the loop with the sample period and the delay that the
+    vehicle file defines.
 
     The search for the delay runs only if the loop is cut at all actuators.
 
     Raises:
-        InputError: the sample period or the delay is not a multiple of the timestep.
+        InputError: the sample period or the delay is not an integer multiple of the timestep.
     """
     how = vehicle.implementation.without_noise
     built = replace(vehicle, implementation=how)
@@ -396,9 +408,9 @@ def _gain_margins(
         vehicle: vehicle of the loop.
         controller: controller of the loop.
         actuators: indices of the actuators whose gain changes.
-        predicted: margins that are predicted from the loop transfer function.
+        predicted: margins of the loop, predicted from the loop transfer function.
         timestep: timestep of the simulation [s].
-        derivative: function that returns the derivative of MuJoCo's step for a timestep [s].
+        derivative: function of the timestep [s] that returns the derivative of MuJoCo's step.
     """
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
 

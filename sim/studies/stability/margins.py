@@ -1,4 +1,4 @@
-"""Margins of controllers, predicted and found in MuJoCo: the result that is shown as text, JSON and figures."""
+"""Margins of controllers, predicted and found in MuJoCo, as a result that can be printed, written as JSON and plotted."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,15 +13,14 @@ from synth.controller.controller import Controller
 
 @dataclass(frozen=True, eq=False)
 class StabilityMargins:
-    """Margins of one controller.
+    """Stability margins of one controller.
 
     Attributes:
-        vehicle: vehicle that the vehicle file describes.
+        vehicle: vehicle that is defined by the vehicle file.
         controller: controller that closes the loop.
-        loops: margins of the ideal loop, by the force at which the loop is cut; the key "" is the loop that is cut at all
-            actuators.
-        implemented_loops: margins of the implemented loop, by the same keys; empty if the loop has neither sample period nor
-            delay.
+        loops: margins of the ideal loop, by the force at which the loop is cut; the key "" denotes a cut at all actuators.
+        implemented_loops: margins of the implemented loop, with the keys of `loops`; empty if the loop has neither sample
+            period nor delay.
     """
 
     vehicle: Vehicle
@@ -38,7 +37,7 @@ class StabilityMargins:
 
     @property
     def agrees(self) -> bool:
-        """True if MuJoCo confirms the predicted margins."""
+        """True if MuJoCo confirms all predicted margins."""
         return not self.wrong
 
 
@@ -49,14 +48,14 @@ def stability_margins(
     progress: Callable[[str], None] = no_progress,
     each_loop: bool = True,
 ) -> list[StabilityMargins]:
-    """Computes the margins of controllers for the vehicle in equilibrium, and searches for the same margins in MuJoCo.
+    """Computes the margins of controllers for the vehicle in equilibrium, and searches for these margins in MuJoCo.
 
     Args:
         vehicle: vehicle that the controllers control.
         controllers: controllers with stable loops.
         timestep: timestep of the simulation [s].
-        progress: callback that receives the name of the stage, or a line about its progress.
-        each_loop: True to include the loops that are cut at a single actuator.
+        progress: callback that receives the name of each stage, or a line about the progress of a stage.
+        each_loop: True to include, for each actuator, the loop that is cut only at this actuator.
     """
     progress("margins")
     built = at_rest(vehicle)

@@ -37,13 +37,13 @@ class Row(NamedTuple):
     """A margin in a table.
 
     Attributes:
-        margin: name of the margin, with its unit.
+        margin: name of the margin, followed by the unit.
         predicted: predicted value of the margin.
-        found: value found in MuJoCo; NaN if the margin is only predicted, or if the runs are not decisive.
-        note: remark on the margin in the last column of the table.
-        extrapolated: True if `found` results from an extrapolation to a timestep of 0.
-        extra: True to omit the row in comparisons of controllers.
-        usual: predicted value in dB or degrees; None for a margin that has neither unit.
+        found: value of the margin found in MuJoCo; NaN if the margin is only predicted, or if the runs are not decisive.
+        note: remark on the margin, which is printed in the last column of the table.
+        extrapolated: True if `found` was extrapolated to a timestep of 0.
+        extra: True if the row is omitted when several controllers are compared.
+        usual: predicted value of the margin in dB or degrees; None for a margin in any other unit.
     """
 
     margin: str
@@ -78,7 +78,7 @@ Value = Callable[[LoopMargins], float]
 
 
 def _margin(label: str, predicted: Value, found: Value, scale: float = 1.0, unit: str = "") -> tuple[Field[LoopMargins], ...]:
-    """Returns two fields of a margin: the predicted value, and the value found in MuJoCo."""
+    """Returns two fields for a margin: the predicted value, and the value found in MuJoCo."""
     return Field(label, predicted, number, scale, "predicted", unit), Field("in MuJoCo", found, number, scale, "found", unit)
 
 
@@ -130,7 +130,9 @@ LOOP = Record[LoopMargins](
 
 
 def _loop(found: StabilityMargins, name: str) -> dict[str, Any]:
-    """Returns the JSON object of a loop. If there is an implemented loop, its gain, phase and disk margins come first."""
+    """Returns the JSON object with the margins of a loop. If there is an implemented loop, the gain, phase and disk margins of
+    this loop come first.
+    """
     ideal, *built = (LOOP(of[name]) for of in (found.loops, found.implemented_loops) if name in of)
     first = [{key: one[key] for key in IMPLEMENTED_MARGINS} for one in (*built, ideal)]
     return {**ideal, **first[0], "ideal": first[1]} if built else ideal
@@ -152,7 +154,7 @@ def record(found: StabilityMargins) -> dict[str, Any]:
 
 
 def describe(found: StabilityMargins) -> Document:
-    """Returns the document about the margins of one controller."""
+    """Returns the document about the stability margins of one controller."""
     vehicle, controller = found.vehicle, found.controller
     loops = [(f"{name}, implemented", one) for name, one in found.implemented_loops.items() if name]
     loops += [(f"{name}, ideal" if found.implemented_loops else name, one) for name, one in found.loops.items() if name]
@@ -170,7 +172,7 @@ def describe(found: StabilityMargins) -> Document:
 
 
 def compare(found: Sequence[StabilityMargins]) -> Document:
-    """Returns the document about the margins of several controllers of a vehicle, with figures."""
+    """Returns the document about the stability margins of several controllers for a vehicle, with figures."""
     vehicle, timestep = found[0].vehicle, found[0].loops[""].timestep
     texts = [
         "Each margin applies to all actuators together. It is predicted from the loop transfer function, and found in MuJoCo "
@@ -191,7 +193,7 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
 
 
 def verdicts(found: Sequence[StabilityMargins]) -> list[Statement]:
-    """Returns statements about the agreement between MuJoCo and the predicted margins of controllers."""
+    """Returns statements about whether MuJoCo agrees with the predicted margins of controllers."""
     agreed, statements = [one for one in found if one.agrees], list[Statement]()
     if agreed:
         loops = [loop for one in agreed for loop in one.loops.values()]
@@ -208,7 +210,9 @@ def verdicts(found: Sequence[StabilityMargins]) -> list[Statement]:
 
 
 def loop_texts(vehicle: Vehicle) -> list[str]:
-    """Returns sentences that define the loop: actuator lag, delay, noise, dampers and linearised characteristics."""
+    """Returns sentences that define which loop was analysed: actuator lag, delay, noise, dampers and linearised
+    characteristics.
+    """
     texts, how = [], vehicle.implementation
     if not vehicle.ideal or vehicle.dampers:
         lag = "has no actuator lag" if vehicle.limits.actuator_bandwidth is None else "includes the lag of its actuators"
@@ -226,14 +230,14 @@ def loop_texts(vehicle: Vehicle) -> list[str]:
 
 
 def _fixed_period(found: StabilityMargins) -> float | None:
-    """Returns the sample period of a discrete law [s]; None for a continuous law or a static gain."""
+    """Returns the sample period of a discrete-time law [s]; None for a continuous-time law or a static gain."""
     law = found.controller.law
     return law.sample_period if law.states else None
 
 
 def _rows(found: StabilityMargins) -> list[Row]:
-    """Returns the table rows of the loop that is cut at all actuators: first the implemented loop (if present), then the ideal
-    loop.
+    """Returns the table rows for the loop that is cut at all actuators: first the implemented loop, if there is one, then the
+    ideal loop.
     """
     rows = _loop_rows(found, found.implemented_loops[""]) if found.implemented_loops else []
     return [*rows, *_loop_rows(found, found.loops[""], ", ideal loop" * bool(found.implemented_loops))]
@@ -243,9 +247,9 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     """Returns the table rows with the margins of a loop.
 
     Args:
-        found: margins of the controller to which the loop belongs.
-        one: margins of the loop to which the rows belong.
-        of: text such as ", ideal loop", which follows the name of a margin if the implemented loop has the same margin.
+        found: margins of all loops of the controller.
+        one: margins of the loop that the rows describe.
+        of: text such as ", ideal loop", which follows the name of a margin if the implemented loop has the same kind of margin.
     """
     predicted, h, gain = one.predicted, one.timestep, one.gain
     lower, high = predicted.gain_lower or one.found_gain_lower, predicted.gain
@@ -294,17 +298,17 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
 
 
 def _values(margin: Sequence[Field[LoopMargins]], one: LoopMargins) -> tuple[float, float]:
-    """Returns the predicted and the found value of a margin in its printed unit."""
+    """Returns the predicted and the found value of a margin in the unit in which the margin is printed."""
     predicted, found = (field.scale * field.value(one) for field in margin)
     return predicted, found
 
 
 def _sampled_rows(gain: GainMargin, power: int = 1) -> list[Row]:
-    """Returns a row with the margin of the sampled loop for each timestep, if finer searches ran.
+    """Returns a row for each timestep with the margin of the sampled loop; no rows if no finer searches ran.
 
     Args:
         gain: upper or lower gain margin of the loop.
-        power: 1 for an upper margin; -1 for a lower margin, which is stored as its inverse.
+        power: 1 for an upper margin; -1 for a lower margin, which is stored as the inverse of the gain factor.
     """
     return [
         Row(f"  sampled every {1e3 * search.timestep:g} ms", at**power, search.found**power, extra=True)
@@ -318,12 +322,12 @@ def _join_notes(*texts: str) -> str:
 
 
 def _noted_time(edge: StabilityEdge, found: float, *texts: str) -> str:
-    """Returns the note on a delay or a sample period, with the reason if the runs are not decisive.
+    """Returns the note on a delay or a sample period, which contains a reason if the runs are not decisive.
 
     Args:
-        edge: finished search for the delay or sample period.
-        found: value found in MuJoCo [s]; NaN if the runs are not decisive.
-        texts: further notes on the same value.
+        edge: finished search for the delay or the sample period.
+        found: delay or sample period found in MuJoCo [s]; NaN if the runs are not decisive.
+        texts: additional notes on the delay or the sample period.
     """
     reason = f"stable up to {edge.stable:g} s; above {SLOWEST:g} s only predicted" * math.isnan(found)
     missed = "unstable there for less than a timestep" * (edge.unstable > edge.expected + 2 * edge.multiple)

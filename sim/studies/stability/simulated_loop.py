@@ -1,7 +1,8 @@
-"""Discrete model of a loop as MuJoCo simulates it: the derivative of MuJoCo's step at equilibrium, closed with the control law.
+"""Discrete-time model of a loop as MuJoCo simulates it: the derivative of MuJoCo's step at equilibrium, closed with the control
+law.
 
-The law is the same as in runs (`sim.drive.drivers.linear`). Forces are held over a sample period. With a delay, the state also
-contains the pending forces of the last samples.
+The control law is evaluated as in runs (`sim.drive.drivers.linear`). Control forces are constant during each sample period.
+With a delay, the state also contains the pending forces, which were computed at the last samples but do not act yet.
 """
 
 import math
@@ -29,13 +30,13 @@ ACTING_STATE = "acting_{}"  # pattern for the names of the states that are the f
 
 @dataclass(frozen=True, eq=False)
 class LoopCase:
-    """A loop to simulate in MuJoCo.
+    """A loop that MuJoCo simulates.
 
     Attributes:
-        vehicle: vehicle with sample period and delay of the controller.
+        vehicle: vehicle, with the sample period and the delay of the controller.
         controller: controller that closes the loop.
-        undelayed_controller: second controller, whose forces act at every timestep without delay; None if there is no second
-            controller.
+        undelayed_controller: second controller, whose forces are updated at every timestep without delay; None if there is no
+            second controller.
     """
 
     vehicle: Vehicle
@@ -45,14 +46,14 @@ class LoopCase:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedLoop:
-    """Discrete model of a loop. The delay consists of an integer number of samples and a remaining fraction of a sample.
+    """Discrete-time model of a loop. The delay is an integer number of samples plus a fraction of a sample.
 
-    The states of `loop` are the states of `_held_forces` followed by the states of the law. If the delay contains a fraction of a
-    sample, the force that acts at the start of a sample is also a state.
+    The states of `loop` are the states of the model from `_held_forces`, followed by the states of the control law. If the
+    delay contains a fraction of a sample, the force that acts at the start of a sample is also a state.
 
     Attributes:
-        loop: loop whose delay is only the remaining fraction of a sample.
-        delay: integer number of samples of delay.
+        loop: loop whose delay is only the fraction of a sample.
+        delay: integer part of the delay, in samples.
         lagging: number of states that are forces of actuators with a lag.
     """
 
@@ -62,7 +63,7 @@ class SimulatedLoop:
 
     @cached_property
     def cut(self) -> StateSpace:
-        """Loop that is cut at all forces."""
+        """Loop, cut at all control forces."""
         return self.loop.cut(self.loop.forces)
 
     @cached_property
@@ -73,12 +74,12 @@ class SimulatedLoop:
 
     @cached_property
     def slowest(self) -> tuple[complex, Array]:
-        """Eigenvalue z with the largest magnitude, and its complex eigenvector, shape (n,)."""
+        """Eigenvalue z of the loop with the largest magnitude, and its complex eigenvector, shape (n,)."""
         return mode(self.cut, self.delay, self._over_delay)
 
     @property
     def rate(self) -> float:
-        """Growth rate of the slowest mode [1/s], positive if the mode grows; NaN if no eigenvalue is found."""
+        """Growth rate of the loop's slowest mode [1/s], positive if the mode grows; NaN if no eigenvalue is found."""
         try:
             return math.log(max(abs(self._over_delay), 1e-300)) / max(self.delay, 1) / self.loop.period
         except ArpackError:
@@ -90,7 +91,7 @@ class SimulatedLoop:
         return self.rate > STANDS
 
     def start(self, limit: float | None) -> State:
-        """Returns an initial state that contains only the slowest mode, scaled such that forces stay below a limit [N]."""
+        """Returns an initial state that contains only the slowest mode, with a size such that forces stay below a limit [N]."""
         (z, vector), states = self.slowest, self.loop.plant.states
         moving = states.index(ACTING_STATE.format(0)) - self.lagging
         ends = np.cumsum([moving, self.lagging, len(self.loop.forces)])
@@ -105,14 +106,14 @@ class SimulatedLoop:
 
 
 def simulated_loop(step: StateSpace, trial: LoopCase) -> SimulatedLoop:
-    """Returns the discrete model of a loop.
+    """Returns the discrete-time model of a loop.
 
     Args:
         step: derivative of MuJoCo's step for the vehicle, see `step_derivative`.
-        trial: loop to model, with its vehicle and controller.
+        trial: loop to model, with the vehicle and the controller of this loop.
 
     Raises:
-        InputError: the sample period or the delay is not a multiple of the timestep.
+        InputError: the sample period or the delay is not an integer multiple of the timestep.
     """
     how, timestep = trial.vehicle.implementation, step.dt
     assert timestep is not None
@@ -124,13 +125,13 @@ def simulated_loop(step: StateSpace, trial: LoopCase) -> SimulatedLoop:
 
 
 def _held_forces(step: StateSpace, undelayed: Controller | None) -> StateSpace:
-    """Returns the model of a step with held forces.
+    """Returns the model of a step during which the forces are held.
 
     The state of this model is [z; acting forces; states of the undelayed controller].
 
     Args:
         step: derivative of MuJoCo's step, whose state is z.
-        undelayed: controller whose forces act without delay; None without such a controller.
+        undelayed: controller whose forces act without delay; None if there is no such controller.
     """
     n, m = step.B.shape
     seen = np.hstack([step.C, step.D])

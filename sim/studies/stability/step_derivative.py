@@ -1,7 +1,8 @@
 """Derivative of a MuJoCo step at equilibrium.
 
-The state z contains positions, velocities, internal states of parts, and the forces of actuators with lag. Under the forces u,
-a step changes z to A z + B u. The sensors before the step measure C z + D u, where u are the forces of the previous step.
+The state z contains positions, velocities, internal states of parts, and the forces of actuators with a lag. If the forces u
+act, a step changes z to A z + B u. The sensors before the step measure C z + D u, where u contains the forces of the previous
+step.
 """
 
 from functools import lru_cache
@@ -22,15 +23,16 @@ SMOOTH = 1e-3  # largest relative difference that is allowed between forward and
 def step_derivative(vehicle: Vehicle, timestep: float) -> StateSpace:
     """Returns the derivative of a MuJoCo step at equilibrium on a flat road, by central differences.
 
-    The states are positions, velocities, internal states of parts, and the forces of actuators with lag. These force states
-    have the names of the forces. The outputs are the signals of the vehicle.
+    The states are positions, velocities, internal states of parts, and the forces of actuators with a lag. The states that are
+    forces have the names of these forces. The outputs of the derivative are the signals of the vehicle.
 
     Args:
         vehicle: vehicle that MuJoCo simulates.
         timestep: timestep of the simulation [s].
 
     Raises:
-        InputError: the step has no derivative, because the characteristic of a spring or damper has a kink at equilibrium.
+        InputError: the step cannot be differentiated, because the characteristic of a spring or damper has a kink at
+            equilibrium.
     """
     model, readout = prepared_readout(vehicle, timestep)
     own, m = readout.of_parts.shape[1], len(vehicle.linear_model.inputs)

@@ -29,7 +29,7 @@ RECORDED_TIME = 4.0  # s, duration of a recorded run
 
 
 class MarginsStudy(MarginsCommand):
-    """Study of stability margins, of one controller in the command and of all active controllers in the report."""
+    """Study of stability margins: for one controller in the command, and for all active controllers in the report."""
 
     def check(self, request: StudyRequest) -> None:
         sample_times(at_rest(request.vehicle), LONGEST, request.options.timestep)
@@ -64,9 +64,9 @@ class MarginsStudy(MarginsCommand):
         return _without_computer(given)
 
     def runs(self, request: StudyRequest, result: list[StabilityMargins]) -> dict[str, Run]:
-        """Returns runs with the longest stable delay and with the shortest unstable delay.
+        """Returns two runs: one with the longest stable delay, and one with the shortest unstable delay.
 
-        If no delay is unstable, the only run has the longest delay of the search.
+        If no delay is unstable, the only run has the longest delay that the search tried.
         """
         vehicle, timestep, delay = _without_computer(request.vehicle), request.options.timestep, result[0].loops[""].delay
         delays = [delay.stable, delay.unstable] if math.isfinite(delay.unstable) else [delay.stable]
@@ -90,16 +90,17 @@ def _without_computer(vehicle: Vehicle) -> Vehicle:
 
 
 def check_loop(vehicle: Vehicle, built: Vehicle, controller: Controller, timestep: float) -> None:
-    """Checks that the ideal and the implemented loop have margins.
+    """Checks that the ideal and the implemented loop have margins: both must be stable, and the controller must command a
+    force.
 
     Args:
         vehicle: vehicle without sample period, delay and noise.
-        built: vehicle with its implementation.
+        built: vehicle with the sample period, delay and noise of the vehicle file.
         controller: controller that closes the loop.
         timestep: timestep of the simulation [s].
 
     Raises:
-        InputError: a loop is unstable, or the controller requests no force.
+        InputError: a loop is unstable, or the controller commands no force.
     """
     name, certificate = f"controller {controller.name!r}", controller.certificate
     if not controller.law.acts:

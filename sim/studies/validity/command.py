@@ -1,4 +1,4 @@
-"""The study of validity: a map of the bumps over which linear analysis is valid; the axes of the map are height, length or
+"""The study of validity: a map of the bumps for which linear analysis is valid; the axes of the map are height, length or
 speed.
 """
 
@@ -11,7 +11,7 @@ from sim.studies.study import Study
 
 
 class EnvelopeCommand(Study):
-    """Texts and options of `sim.studies.validity.study.EnvelopeStudy`."""
+    """Printed texts and command options of `sim.studies.validity.study.EnvelopeStudy`."""
 
     description = "Map the bumps over which linear analysis is valid, and the limits that end it."
     epilog = """

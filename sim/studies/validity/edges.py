@@ -1,4 +1,4 @@
-"""Edges of a map of validity: the limits that end the linear regime along one axis, for each value of the other axis."""
+"""Edges of a map of validity, which are the limits that end the linear regime along one axis for each value of the other axis."""
 
 from collections.abc import Mapping
 from itertools import groupby
@@ -21,10 +21,11 @@ TRAVEL = Field[float]("travel", float, ".3g", 1e3, unit="mm")
 
 
 def edges(cells: Cells) -> dict[str, Any]:
-    """Returns the edges as a JSON object in SI units.
+    """Returns the edges of the map as a JSON object in SI units.
 
-    For each value of the other axis, `lines` contains the predicted limits along the height. If the height does not vary, these
-    are the limits along the first axis. `enclosed` contains the heights of the edge that two MuJoCo runs enclose.
+    `lines` contains the predicted limits as a function of the height, for each value of the other axis of the map. If the
+    height does not vary, `lines` contains the limits along the first axis of the map. `enclosed` contains the edge heights that
+    lie between two MuJoCo runs.
     """
     # if True, the response for one height predicts the responses for all heights
     proportional = not (cells.loads or cells.vehicle.parts.nonlinear)
@@ -59,7 +60,7 @@ def edges(cells: Cells) -> dict[str, Any]:
 
 
 def edge_document(cells: Cells) -> Document:
-    """Returns the printed document about the edges, with at most `LINES` lines of the map."""
+    """Returns the printed document about the edges of the map, with at most `LINES` lines."""
     whole = edges(cells)
     along, every = whole["along"], whole["lines"]
     other = next((axis.name for axis in cells.axes if axis.name != along), "")
@@ -88,7 +89,7 @@ def edge_document(cells: Cells) -> Document:
 
 
 def _enclosing_heights(one: Mapping[str, Any] | None) -> str:
-    """Returns the two heights between which MuJoCo reaches a limit, and the name of a limit that was not predicted."""
+    """Returns the two bump heights between which MuJoCo reaches a limit, and the name of this limit if it was not predicted."""
     if one is None:
         return "-"
     if one["ended_at"] is None:
@@ -98,7 +99,9 @@ def _enclosing_heights(one: Mapping[str, Any] | None) -> str:
 
 
 def travel_texts(cells: Cells) -> list[str]:
-    """Returns a sentence about the largest travel at which no limit is reached; empty if all suspensions have bump stops."""
+    """Returns a sentence about the largest suspension travel at which no limit is reached; empty if all suspensions have bump
+    stops.
+    """
     suspensions = cells.vehicle.kind.suspensions
     whole = cells.travel[cells.predicted < 0]
     if not len(whole) or len(cells.vehicle.parts.strokes) == len(suspensions):

@@ -1,4 +1,4 @@
-"""Axes of a map of validity, and the bumps of its cells."""
+"""Axes of a map of validity, and the bumps that belong to its cells."""
 
 import itertools
 import math
@@ -19,11 +19,11 @@ MOST_CELLS = 100_000
 
 @dataclass(frozen=True)
 class GridAxis:
-    """Axis of a map: a quantity of the bump at evenly spaced values.
+    """Axis of a map, along which a quantity of the bump takes evenly spaced values.
 
     Attributes:
         name: quantity of the bump that varies along this axis: height, length or speed.
-        values: values of this quantity in SI units, ascending.
+        values: values of the quantity in SI units, ascending.
     """
 
     name: str
@@ -31,7 +31,7 @@ class GridAxis:
 
 
 def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
-    """Returns the axes that one or two values of `--vary` define, each in the form `name:low:high:count`.
+    """Returns the axes defined by one or two values of `--vary`, each in the form `name:low:high:count`.
 
     Raises:
         InputError: the number of axes is not 1 or 2, the axes are equal, or an axis is invalid: unknown quantity, invalid
@@ -70,11 +70,11 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
 
 
 def grid(axes: Sequence[GridAxis], fixed: dict[str, float]) -> list[Bump]:
-    """Returns the bumps of all cells. The last axis changes fastest.
+    """Returns the bumps of all cells of the map. In the order of the bumps, the last axis changes fastest.
 
     Args:
         axes: axes of the map of validity.
-        fixed: value of each quantity that is not an axis, by name: height [m], length [m] or speed [m/s].
+        fixed: value of each bump quantity that is not an axis, by name: height [m], length [m] or speed [m/s].
     """
     names = [axis.name for axis in axes]
     cells = [fixed | dict(zip(names, values, strict=True)) for values in itertools.product(*(axis.values for axis in axes))]

@@ -1,4 +1,4 @@
-"""Runs over the bumps of a map of validity, by linear analysis and in MuJoCo."""
+"""Runs over the bumps of a map of validity, computed by linear analysis and in MuJoCo."""
 
 import math
 from collections.abc import Sequence
@@ -26,17 +26,17 @@ AT_ONCE = 32  # largest number of runs in a batch; in a larger batch, short runs
 
 @dataclass(frozen=True)
 class MapRun:
-    """Result of one MuJoCo run.
+    """Result of one MuJoCo run over a bump.
 
     Attributes:
-        share: largest signal relative to its limit in `REGIME_ENDS`.
-        first: first limit that was reached, as an index into `REGIME_ENDS`; -1 if no limit was reached.
-        time: time at which this limit was reached [s]; infinite if no limit was reached.
-        broke_off: reason why the run was aborted, `DIVERGENCE` or `LAW_OVERFLOW`; empty if it was not aborted.
-        error: largest difference of a signal from linear analysis with linearised springs and dampers, relative to the peak of
-            the signal.
-        missing: rms of the force that semi-active dampers could not apply, relative to the rms of the requested force. The value
-            is 0 if no force was requested, and NaN if there are no semi-active dampers.
+        share: largest value of any signal relative to its limit in `REGIME_ENDS`.
+        first: first limit that was reached in the run, as an index into `REGIME_ENDS`; -1 if no limit was reached.
+        time: time at which the first limit was reached [s]; infinite if no limit was reached.
+        broke_off: reason why the run was aborted, `DIVERGENCE` or `LAW_OVERFLOW`; empty if the run was not aborted.
+        error: largest difference of any signal from linear analysis with linearised springs and dampers, relative to the
+            signal's peak.
+        missing: rms of the part of the requested force that semi-active dampers could not apply, relative to the rms of the
+            requested force. `missing` is 0 if no force was requested, and NaN if there are no semi-active dampers.
     """
 
     share: float
@@ -48,19 +48,20 @@ class MapRun:
 
     @property
     def end(self) -> str:
-        """Name of the first limit that was reached, or the reason why the run was aborted; empty otherwise."""
+        """Name of the first limit that was reached, or the reason why the run was aborted; empty if neither happened."""
         return END_NAMES[self.first] if self.first >= 0 else self.broke_off
 
 
 def with_loads(bump: Road, loads: tuple[Load, ...]) -> Road:
-    """Returns a bump with loads on the body; if there are no loads, the bump itself."""
+    """Returns a bump combined with loads on the body; if there are no loads, the unchanged bump."""
     return RoadWithLoads(bump, loads) if loads else bump
 
 
 def analyse_bumps(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], time: Array) -> Response:
-    """Returns the responses of one controller over N roads, computed by analysis; the values have the shape (N, T, S).
+    """Returns the responses of one controller over N roads, computed by analysis; the values of the responses have the shape
+    (N, T, S).
 
-    The analysis includes nonlinear springs and dampers, and semi-active dampers.
+    The analysis takes account of nonlinear springs and dampers, and of semi-active dampers.
     """
     inputs = [RoadInput(vehicle, road, time) for road in roads]
     if is_linear(controller, vehicle):
@@ -69,8 +70,8 @@ def analyse_bumps(vehicle: Vehicle, controller: Controller, roads: Sequence[Road
 
 
 def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], time: Array) -> list[Response]:
-    """Returns the response of each controller over its own road, computed by analysis. Nonlinear responses are computed
-    simultaneously.
+    """Returns the response of each controller over the road that belongs to this controller, computed by analysis. All
+    nonlinear responses are computed simultaneously.
     """
     bent = [i for i, one in enumerate(controllers) if vehicle.parts.nonlinear or not is_linear(one, vehicle)]
     responses = dict[int, Response]()
@@ -83,7 +84,7 @@ def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Se
 
 
 def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Array:
-    """Returns the largest values of a response, relative to the limits in `REGIME_ENDS`, shape (..., E).
+    """Returns the largest values of a response's signals, relative to the limits in `REGIME_ENDS`, shape (..., E).
 
     The entry for the missing force of semi-active dampers is 0, because the analysis includes these dampers.
     """
@@ -94,7 +95,7 @@ def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Arra
 
 
 def largest_difference(vehicle: Vehicle, physics: Response, analysis: Response) -> float:
-    """Returns the largest difference of an output signal from analysis, relative to the peak of the signal; infinite if the run
+    """Returns the largest difference of any output signal from analysis, relative to the signal's peak; infinite if the run
     diverged.
     """
     apart = float(np.abs(difference(physics, analysis.only(vehicle.linear_model.outputs)).values).max())
@@ -102,7 +103,7 @@ def largest_difference(vehicle: Vehicle, physics: Response, analysis: Response) 
 
 
 def drive_bumps(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], time: Array) -> list[MapRun]:
-    """Simulates runs in MuJoCo.
+    """Simulates runs over roads in MuJoCo.
 
     Args:
         vehicle: vehicle that is simulated.
@@ -122,7 +123,7 @@ def drive_bumps(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], 
 
 
 def _result(controller: Controller, run: Recording) -> MapRun:
-    """Returns the result of a recorded MuJoCo run."""
+    """Returns the result of a MuJoCo run that was recorded."""
     vehicle, response, diverged = run.vehicle, run.response, run.diverged
     times, missing = end_times(vehicle, response, controller.has_anti_windup), math.nan
     if not is_linear(controller, vehicle):

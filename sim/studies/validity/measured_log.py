@@ -1,7 +1,7 @@
-"""Comparison of runs with a measured log: alignment in time by correlation, and the fit of each signal.
+"""Comparison of simulated runs with a measured log: alignment in time by correlation, and the fit of each signal.
 
-The fit is 1 - rms(measured - MuJoCo) / rms(measured): 1 for equal signals, and 0 if the run has no motion. The signals are
-compared at the sample times of the run or the log, whichever has the longer sample period.
+The fit is 1 - rms(measured - MuJoCo) / rms(measured); it is 1 for equal signals, and 0 if the simulated signal is zero. The
+signals are compared at the sample times of the run or of the log, whichever has the longer sample period.
 """
 
 from argparse import Namespace
@@ -33,15 +33,16 @@ OPPOSITE, CLEARLY = -0.5, 1.1
 
 @dataclass(frozen=True)
 class SignalFit:
-    """Comparison of a measured signal with a run.
+    """Comparison of a measured signal with a simulated run.
 
     Attributes:
-        fit: 1 - rms(measured - MuJoCo) / rms(measured); None if the measured signal is zero.
-        fit_without_offset: fit after the offset is removed from the measured signal; None if the signal is then zero.
-        correlation: correlation coefficient; None if one of the signals is constant.
+        fit: value 1 - rms(measured - MuJoCo) / rms(measured); None if the measured signal is zero.
+        fit_without_offset: value of `fit` after the offset is removed from the measured signal; None if the signal is then
+            zero.
+        correlation: correlation coefficient of the measured and the simulated signal; None if either of them is constant.
         offset: mean of the difference (measured - MuJoCo), in the SI unit of the signal.
         rms: rms of the measured signal, in the signal's SI unit.
-        samples: number of compared samples.
+        samples: number of samples that were compared.
     """
 
     fit: float | None
@@ -53,7 +54,7 @@ class SignalFit:
 
     @property
     def record(self) -> dict[str, float | int | None]:
-        """Comparison as a JSON object."""
+        """Comparison of a signal with a run as a JSON object."""
         return asdict(self)
 
 
@@ -61,10 +62,11 @@ _Row = tuple[Signal, str, SignalFit]  # a signal, the name of a run, and the com
 
 
 def requested_log(options: Namespace, vehicles: Iterable[Vehicle]) -> MeasuredLog | None:
-    """Returns the measured log of `--beside`, limited to the signals of these vehicles; None without this option.
+    """Returns the measured log of the option `--beside`, limited to the signals of the compared vehicles; None if the option is
+    not used.
 
     Raises:
-        InputError: the log cannot be read (see `read_measured_log`), or an option is given that needs `--beside`.
+        InputError: the log cannot be read (see `read_measured_log`), or an option that requires `--beside` is used without it.
     """
     if options.beside is None:
         for name in [*["beside_column"] * bool(options.beside_column), *sorted(options.given)]:
@@ -96,16 +98,18 @@ FIT = Field[SignalFit]("fit", lambda one: one.fit, ".3f")
 
 @dataclass(frozen=True, eq=False)
 class MeasuredComparison:
-    """Comparison of a measured log with runs.
+    """Comparison of a measured log with simulated runs.
 
     Attributes:
         log: measured log that is compared with the runs.
-        start: time of the log at which the runs start [s].
-        correlation: correlation coefficient for this start, averaged over all signals, for the run with the largest average.
-        given: True if the user gave the start.
-        response: measured signals over the time of the runs; NaN within gaps.
-        offsets: offset that was removed from each measured signal, in the SI unit of the signal; empty if none was removed.
-        opposite: names of signals that would correlate better with the opposite sign.
+        start: time of the log [s] at which the runs start.
+        correlation: correlation coefficient at the time `start`, averaged over all signals, for the run with the largest
+            average.
+        given: True if the user chose the start time.
+        response: measured signals during the time of the runs; NaN within gaps.
+        offsets: offset that was removed from each measured signal, in the SI unit of the signal; empty if no offset was
+            removed.
+        opposite: names of measured signals that would correlate better with the opposite sign.
         fits: comparison of each run with the log, by name of the signals that log and run have in common.
     """
 
@@ -134,7 +138,7 @@ class MeasuredComparison:
 
     @property
     def warnings(self) -> Iterator[str]:
-        """Remarks about the log and its columns: weak correlation, opposite sign, or offset."""
+        """Remarks about the log and its columns, such as weak correlation, opposite sign, or offset."""
         about = f"measured log {self.log.source}: "
         yield from (f"{about}{remark}" for remark in self.log.remarks)
         if not self.given and self.correlation < WEAK:
@@ -151,10 +155,10 @@ class MeasuredComparison:
                 yield f"{about}{name} has an offset of {MEAN.cell(best)}; the fit is {fit} with --beside-remove-offset"
 
     def describe(self, names: Sequence[str]) -> Document:
-        """Returns a document with a table of the fits, and a note about the start.
+        """Returns a document with a table of the fits, and a note about the start time.
 
         Args:
-            names: names of the runs.
+            names: names of the simulated runs.
         """
         rows = [
             (signal, name, fits[signal.name])
@@ -180,16 +184,17 @@ class MeasuredComparison:
 def compare_log(
     log: MeasuredLog, runs: Sequence[RunResult], start: float | None = None, remove_offsets: bool = False
 ) -> MeasuredComparison:
-    """Aligns a measured log with runs of the same duration, and compares them.
+    """Aligns a measured log in time with runs of equal duration, and compares the log with each run.
 
     Args:
         log: measured log that is compared with the runs.
         runs: runs over the same road.
-        start: time of the log at the start of the runs [s]; None to find the start with the largest correlation.
-        remove_offsets: True to remove from each signal its mean difference from the run with the largest correlation.
+        start: time of the log at the start of the runs [s]; None to choose the start time with the largest correlation.
+        remove_offsets: True to subtract from each measured signal its mean difference from the run with the largest
+            correlation.
 
     Raises:
-        InputError: log and runs do not overlap in time, or a signal has no value during the overlap.
+        InputError: log and runs do not overlap in time, or a signal of the log has no value during the overlap.
     """
     several = [until_end(run) for run in runs]
     if min(len(one.time) for one in several) < LEAST:
@@ -214,12 +219,13 @@ def compare_log(
 
 
 def until_end(run: RunResult) -> Response:
-    """Returns MuJoCo's response up to the time at which the run was aborted; the whole response if it was not."""
+    """Returns MuJoCo's response up to the time at which the run was aborted; the whole response if the run was not aborted."""
     return run.physics if run.broke_off is None else run.physics.until(run.broke_off[1])
 
 
 def _align_signals(log: MeasuredLog, run: Response, start: float, signals: Sequence[Signal]) -> Response:
-    """Returns measured signals over the time of a run, at the sample times of log or run, whichever are further apart.
+    """Returns measured signals during a run, at the sample times of the log or of the run, whichever has the longer sample
+    period.
 
     Args:
         log: measured log that is compared with the runs.
@@ -238,9 +244,9 @@ def _align_signals(log: MeasuredLog, run: Response, start: float, signals: Seque
 
 
 def fits(measured: Response, physics: Response) -> dict[str, SignalFit]:
-    """Returns the fits of a run to measured signals, by name, for the signals that run and log have in common.
+    """Returns the fits of a simulated run to measured signals, by name, for all signals that run and log have in common.
 
-    Signals are compared at the measured times within the run.
+    Signals are compared at the times of measurement during the run.
     """
     results: dict[str, SignalFit] = {}
     for name in measured.names:
@@ -266,7 +272,9 @@ def _rms(values: Array) -> float:
 
 
 def _score(log: MeasuredLog, run: Response, start: float) -> float:
-    """Returns the mean correlation of the common signals of log and run, if the run starts at the log's time `start` [s]."""
+    """Returns the mean correlation of the signals that log and run have in common, if the run starts at the log's time `start`
+    [s].
+    """
     signals = [one for one in run.signals if one.name in log.signals]
     ones = fits(_align_signals(log, run, start, signals), run).values() if signals else ()
     known = [one.correlation for one in ones if one.correlation is not None]
@@ -274,11 +282,11 @@ def _score(log: MeasuredLog, run: Response, start: float) -> float:
 
 
 def _best_start(log: MeasuredLog, run: Response) -> tuple[float, tuple[str, ...]]:
-    """Finds the time of the log at which a run starts, by the largest correlation of the signals that log and run have in
-    common.
+    """Finds the log's time at which a run starts, by the largest correlation of the signals that log and run have in common.
 
-    Log and run are first correlated at a common sample rate. Means are removed. Each signal is scaled by its rms over the run
-    and over the part of the log that the run covers. The start is then refined between the samples.
+    Log and run are first correlated at one common sample rate. Means are removed. Each signal is divided by the rms of its
+    values in the run and in the part of the log that the run covers. The start time is then refined to a fraction of the sample
+    period.
 
     Returns:
         Time of the log at the start of the run [s], and the names of signals that would correlate better with the opposite
@@ -294,7 +302,7 @@ def _best_start(log: MeasuredLog, run: Response) -> tuple[float, tuple[str, ...]
     total, opposite = np.zeros(len(at) + len(grid) - 1), list[str]()
 
     def sums(values: Array, weights: Array) -> Array:
-        """Returns, for each shift in time between two signals, the sum of the products of their values."""
+        """Returns the sum of the products of the values of two signals, for each shift in time between them."""
         return np.asarray(correlate(values, weights, mode="full", method="fft"))
 
     for name in (name for name in log.signals if name in run.names):

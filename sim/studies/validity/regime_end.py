@@ -1,12 +1,14 @@
-"""Bump height at which the linear regime ends, predicted by one linear response, and enclosed by two MuJoCo runs.
+"""Bump height at which the linear regime ends, predicted by one linear response, and confirmed by one MuJoCo run below and one
+above.
 
-The linear regime ends when a signal reaches a limit in `REGIME_ENDS`. Up to this point, the response is proportional to the
-bump height, so one response predicts the height at which the first limit is reached. MuJoCo simulates a bump slightly below this
-height and a bump slightly above it. Rotating bodies, nonlinear springs and dampers, loads or noise can change the height. If the
-two runs do not enclose the correct height, the next height follows from the largest signal of the highest run below the limit.
+The linear regime ends when any signal reaches its limit in `REGIME_ENDS`. Up to the end of the linear regime, the response is
+proportional to the bump height, so one response predicts the height of the end. MuJoCo simulates one bump slightly below the
+predicted height, and one bump slightly above. Rotation of bodies, nonlinear springs and dampers, loads or noise can change the
+height at which the regime ends. If the two runs do not enclose the correct height, the next height follows from the largest
+signal of the highest run below the limit.
 
-If there are semi-active dampers, the analysis includes these dampers, because at every height they cannot apply some forces of
-a linear controller.
+The analysis includes semi-active dampers, because at every height these dampers cannot apply some forces of a linear
+controller.
 """
 
 import math
@@ -41,17 +43,17 @@ OVER, CUTS = 0.8, 30
 
 @dataclass(frozen=True)
 class RegimeEnd:
-    """End of the linear regime of one controller, over bumps of one length at one speed.
+    """End of the linear regime of one controller, for bumps of one length at one speed.
 
     Attributes:
         predicted: predicted bump height at which the first limit is reached [m].
-        predicted_end: name of the predicted limit in `REGIME_ENDS`.
-        near: names of the limits that are predicted at heights up to `NEAR` times the predicted height.
-        stays: height of the highest bump in MuJoCo over which no limit is reached [m]; 0 if there is no such bump.
-        leaves: height of the lowest bump in MuJoCo over which a limit is reached [m]; infinite if there is no such bump.
-        end: name of the first limit that is reached over this bump; empty if there is no such bump.
-        error: largest difference of the run at `stays` from the analysis, relative to the peak of a signal; 0 if the run is not
-            compared. The comparison ends when a tyre may lift off within a timestep.
+        predicted_end: name of the limit in `REGIME_ENDS` that is predicted to be reached first.
+        near: names of the limits that are predicted to be reached at heights up to `NEAR` times the predicted height.
+        stays: height of the highest MuJoCo bump at which no limit is reached [m]; 0 if there is no such bump.
+        leaves: height of the lowest MuJoCo bump at which a limit is reached [m]; infinite if there is no such bump.
+        end: name of the limit that is reached first at the height `leaves`; empty if there is no such bump.
+        error: largest difference between the run at height `stays` and the analysis, relative to the peak of the signal; 0 if
+            the run is not compared. The comparison with the analysis ends when a tyre may lift off within a timestep.
     """
 
     predicted: float
@@ -64,12 +66,12 @@ class RegimeEnd:
 
     @property
     def confirmed(self) -> bool:
-        """True if MuJoCo reaches the predicted limit first, or another limit of `near`."""
+        """True if the limit that MuJoCo reaches first is the predicted limit, or any other limit of `near`."""
         return self.end in self.near and self.stays > 0
 
     @property
     def found(self) -> float:
-        """Bump height at which MuJoCo reaches the first limit [m], midway between the two runs."""
+        """Bump height at which MuJoCo reaches the first limit [m], taken as midway between the two runs."""
         return (self.stays + self.leaves) / 2
 
 
@@ -79,7 +81,7 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
     Args:
         vehicle: vehicle that the controllers control.
         controllers: controllers with stable loops.
-        bump: bump with the length and speed to study; the response over this bump predicts the responses at other heights.
+        bump: bump with the length and speed of interest; the response over this bump predicts the responses at other heights.
         time: equidistant sample times from 0 [s], shape (T,).
     """
     ends = enclose_ends(vehicle, controllers, [bump] * len(controllers), time)
@@ -103,16 +105,17 @@ def enclose_ends(
     loads: tuple[Load, ...] = (),
     within: float = WITHIN,
 ) -> list[RegimeEnd | None]:
-    """Finds the bump heights at which the linear regime ends for N lengths and speeds; two MuJoCo runs enclose each height.
+    """Finds the bump height at which the linear regime ends for each of N lengths and speeds; each height lies between two
+    MuJoCo runs.
 
     Args:
         vehicle: vehicle that the controllers control.
         controllers: N controllers, one for each of the bumps.
-        bumps: N bumps with the lengths and speeds to study; the responses over these bumps predict the responses at other
+        bumps: N bumps with the lengths and speeds of interest; the responses over these bumps predict the responses at other
             heights.
         time: equidistant sample times from 0 [s], shape (T,).
-        loads: loads on the body over each bump.
-        within: factor between the predicted height and the heights of the two runs, see `WITHIN`.
+        loads: loads on the body that act over each bump.
+        within: factor between the predicted height and the heights of the two MuJoCo runs, see `WITHIN`.
 
     Returns:
         End of the linear regime for each bump; None if no limit is reached at any allowed height.
@@ -142,7 +145,9 @@ def enclose_ends(
 def _predict_ends(
     vehicle: Vehicle, controllers: Sequence[Controller], bumps: Sequence[Bump], loads: tuple[Load, ...], time: Array
 ) -> "list[PredictedResponse]":
-    """Returns the prediction of each controller over its bump. The responses of all searches are computed simultaneously."""
+    """Returns the predicted response of each controller over the bump that belongs to this controller. The responses of all
+    searches are computed simultaneously.
+    """
     searches = [_search(vehicle, *both, loads) for both in zip(controllers, bumps, strict=True)]
     results, roads = dict[int, PredictedResponse](), {i: next(search) for i, search in enumerate(searches)}
     while roads:
@@ -162,10 +167,12 @@ PredictedResponse = tuple[Response, Array]  # a response, and its values per met
 def _search(
     vehicle: Vehicle, controller: Controller, bump: Bump, loads: tuple[Load, ...]
 ) -> Generator[Road, Response, PredictedResponse]:
-    """Generator that yields roads, receives the computed responses over these roads, and returns the prediction.
+    """Returns a generator that yields roads, receives the computed responses over these roads, and finally returns the
+    prediction.
 
-    A vehicle with linear springs and dampers needs one response. Otherwise, the analysis is nonlinear, and a loop may be
-    unstable above some height. The search then finds the lowest height at which the analysis reaches a limit.
+    For a vehicle with linear springs and dampers, one response is sufficient. For any other vehicle, the analysis is nonlinear,
+    and a loop may be unstable above some height. For a nonlinear analysis, the search finds the lowest height at which the
+    analysis reaches a limit.
     """
     height, low, high, at_end, tried = abs(bump.height), 0.0, math.inf, None, 0
     while True:
@@ -187,19 +194,18 @@ def _search(
 
 
 def _is_open(end: RegimeEnd, within: float) -> bool:
-    """Returns True if the runs do not enclose the end yet, but the end may be at an allowed height."""
+    """Returns True if the end of the linear regime is not yet between two runs, but may be at an allowed height."""
     highest = min(FURTHEST * end.predicted, HIGHEST / within**2)
     return end.leaves > end.stays * within**2 * (1 + 1e-9) and end.stays < highest
 
 
 def _next(whole: Sequence[tuple[float, float]], high: float, within: float) -> float:
-    """Returns the next height to try [m].
+    """Returns the next bump height to try [m].
 
     Args:
-        whole: ascending heights of bumps over which no limit is reached [m], each with the largest signal of this bump relative
-            to its limit.
-        high: lowest height at which a limit is reached [m]; infinite if there is no such height.
-        within: factor between the predicted height and the heights of the two runs.
+        whole: ascending bump heights at which no limit is reached [m], each with the largest signal relative to its limit.
+        high: lowest bump height at which a limit is reached [m]; infinite if there is no such height.
+        within: factor between the predicted height and the heights of the two MuJoCo runs.
     """
     (before, share_before), (low, share) = whole[-2:]
     height = low + (1 - share) * (low - before) / (share - share_before) if share > share_before else math.inf
@@ -209,7 +215,7 @@ def _next(whole: Sequence[tuple[float, float]], high: float, within: float) -> f
 
 
 def _needed_samples(vehicle: Vehicle, controller: Controller, response: Response) -> int:
-    """Returns the number of samples after which a response is too small to reach a limit."""
+    """Returns the number of samples after which all signals of a response stay too small to reach a limit."""
     count, most = len(response.time), shares(vehicle, controller, response).max()
     if vehicle.implementation.has_measurement_noise:  # measurement noise does not decay, so the run has no quiet end
         return count

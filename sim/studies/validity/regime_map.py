@@ -1,15 +1,16 @@
-"""Map of validity over a grid of bumps: where linear analysis is valid, and which limit is reached first beyond this range.
+"""Map of validity for a grid of bumps, which shows where linear analysis is valid, and which limit is reached first outside
+this range.
 
-Until the first limit is reached, the vehicle is linear. The first limit and its time can therefore be predicted from the linear
-response, which is proportional to the bump height. One linear response per length and speed predicts the cells for all heights,
-and the map shows these predictions. MuJoCo confirms the predictions in a few random cells, and along the edge of the linear
-regime. At each length and speed, two runs enclose the height of the edge.
+The vehicle is linear until the first limit is reached. The first limit and its time can therefore be predicted from the linear
+response, which is proportional to the bump height. One linear response for each length and speed predicts the cells for all
+heights, and the map shows these predictions. MuJoCo confirms the predictions in a few random cells, and in cells along the edge
+of the linear regime. For each length and speed, the height of the edge lies between two MuJoCo runs.
 
-Semi-active dampers cannot apply some of the forces of a linear controller, whatever the height. For a vehicle with these
-dampers, the map shows the share of missing force. The analysis then includes the dampers; the computed response is also
-proportional to the height. The characteristic of a nonlinear spring or damper departs gradually from its linearisation; a
-difference above the share `LEAVES` counts as a limit. Responses with such characteristics or with loads are not proportional to
-the height, so each cell needs its own response.
+At any bump height, semi-active dampers cannot apply some of the forces of a linear controller. For a vehicle with semi-active
+dampers, the map shows the share of the missing force. With semi-active dampers, the analysis includes these dampers, and the
+computed response is still proportional to the height. The characteristic of a nonlinear spring or damper departs gradually from
+its linearisation. A difference from the linearisation that is larger than the share `LEAVES` counts as a limit. With nonlinear
+characteristics or loads, responses are not proportional to the height, so that each cell requires a separate response.
 """
 
 import math
@@ -46,16 +47,17 @@ class Cells:
     Attributes:
         vehicle: vehicle that the controller controls.
         controller: controller of this vehicle.
-        loads: loads on the body over each bump.
-        threshold: largest error for which linear analysis counts as valid, relative to the peak.
+        loads: loads on the body that act over each bump.
+        threshold: largest relative error, as a share of the peak, for which linear analysis counts as valid.
         bumps: the N bumps, one for each cell.
-        used: largest values relative to the limits in `REGIME_ENDS`, computed by analysis for each cell, shape (N, E).
-        predicted: predicted first limit as an index into `REGIME_ENDS`, shape (N,); -1 if no limit is reached.
-        predicted_time: time of this limit [s], shape (N,); infinite if no limit is reached.
-        travel: largest suspension deflection, computed by analysis [m], shape (N,).
-        driven: results of the MuJoCo runs, by index of the cell.
-        boundary: indices of the simulated cells whose prediction differs at a height 1 % lower or higher.
-        ends: bump height at which the linear regime ends, enclosed by MuJoCo runs, by index of a cell with the same length and
+        used: largest signal values relative to the limits in `REGIME_ENDS`, computed by analysis for each cell, shape (N, E).
+        predicted: limit that is predicted to be reached first, as an index into `REGIME_ENDS`, shape (N,); -1 if no limit is
+            reached.
+        predicted_time: time at which the predicted limit is reached [s], shape (N,); infinite if no limit is reached.
+        travel: largest suspension deflection in each cell, computed by analysis [m], shape (N,).
+        driven: results of the MuJoCo runs, by index of the simulated cell.
+        boundary: indices of the simulated cells in which the prediction changes if the height is 1 % lower or higher.
+        ends: bump height between two MuJoCo runs at which the linear regime ends, by index of a cell with the same length and
             speed.
     """
 
@@ -74,7 +76,7 @@ class Cells:
 
     @property
     def axes(self) -> tuple[GridAxis, ...]:
-        """Axes of the map. The last axis changes fastest from cell to cell."""
+        """Axes of the map of validity. The last axis changes fastest from cell to cell."""
         values = {name: tuple(sorted({getattr(bump, name) for bump in self.bumps})) for name in UNITS}
         first, second, *_ = self.bumps
         axes = [GridAxis(name, some) for name, some in values.items() if len(some) > 1]
@@ -88,7 +90,7 @@ class Cells:
         return " and ".join(f"a {name} of {value:g} {UNITS[name]}" for name, value in fixed.items())
 
     def end_of(self, i: int) -> str:
-        """Returns the name of the predicted first limit of cell `i`; empty if no limit is reached."""
+        """Returns the name of the limit that is predicted to be reached first in cell `i`; empty if no limit is reached."""
         return END_NAMES[self.predicted[i]] if self.predicted[i] >= 0 else ""
 
     def share(self, holds: Callable[[MapRun], bool]) -> float:
@@ -97,7 +99,7 @@ class Cells:
 
     @property
     def short(self) -> str:
-        """Text that states which share of the force semi-active dampers cannot apply; empty if no force is missing."""
+        """Text that states which share of the requested force semi-active dampers cannot apply; empty if no force is missing."""
         some = [one.missing for one in self.driven.values() if one.missing > 0]
         if not some:
             return ""
@@ -107,28 +109,32 @@ class Cells:
 
     @cached_property
     def others(self) -> frozenset[int]:
-        """Indices of the cells in which the first limit in MuJoCo is not the predicted limit."""
+        """Indices of the cells in which the limit that MuJoCo reaches first is not the predicted limit."""
         return frozenset(i for i, one in self.driven.items() if one.first != self.predicted[i])
 
     @property
     def agreement(self) -> float:
-        """Share of the simulated cells in which MuJoCo confirms the prediction."""
+        """Share of the simulated cells in which MuJoCo confirms the predicted limit."""
         return 1 - len(self.others) / len(self.driven)
 
     @property
     def unexplained(self) -> int:
-        """Number of cells in which MuJoCo contradicts the prediction, although these cells are not at a boundary."""
+        """Number of cells that are not at a boundary and in which MuJoCo contradicts the prediction."""
         return len(self.others - self.boundary)
 
     @property
     def furthest(self) -> float:
-        """Largest relative distance between a predicted height of the edge and a run that encloses it; 0 without such runs."""
+        """Largest relative distance between a predicted edge height and the two runs on both sides of the edge; 0 if there are
+        no such runs.
+        """
         both = [height / end.predicted for end in self.ends.values() for height in (end.stays, end.leaves)]
         return max((abs(share - 1) for share in both), default=0.0)
 
     @property
     def as_predicted(self) -> bool:
-        """True if MuJoCo confirms the predicted limit along the edge, and in all simulated cells that are not at a boundary."""
+        """True if MuJoCo confirms the predicted limit in the runs along the edge, and in all simulated cells that are not at a
+        boundary.
+        """
         return not self.unexplained and all(end.confirmed for end in self.ends.values())
 
 
@@ -143,17 +149,17 @@ def validity(
     every: bool = False,
     threshold: float = 0.05,
 ) -> Cells:
-    """Predicts the first limit over each bump of a grid, and simulates some of the bumps in MuJoCo.
+    """Predicts the first limit for each bump of a grid, and simulates some of the bumps in MuJoCo.
 
     Args:
         vehicle: vehicle that the controller controls.
         controller: controller of this vehicle.
-        bumps: bumps of the grid.
+        bumps: bumps of all cells of the grid.
         time: equidistant sample times from 0 [s], shape (T,).
         progress: callback that receives the number of predicted cells.
-        loads: loads on the body over each bump.
-        every: True to simulate all cells in MuJoCo.
-        threshold: largest error for which linear analysis counts as valid, relative to the peak.
+        loads: loads on the body that act over each bump.
+        every: True to simulate the bumps of all cells in MuJoCo.
+        threshold: largest relative error, as a share of the peak, for which linear analysis counts as valid.
     """
     used, predicted, when, travel = _predict_cells(vehicle, controller, bumps, time, loads, progress)
     wanted = len(bumps) if every else min(len(bumps), max(FEWEST, round(len(bumps) * IN_CELLS)))
@@ -175,13 +181,13 @@ def validity(
 
 
 def _at_edges(bumps: Sequence[Bump], used: Array) -> list[int]:
-    """Returns the indices of some evenly spread cells at the edge of the linear regime, at most one per length and speed.
+    """Returns the indices of evenly spread cells at the edge of the linear regime, at most one for each length and speed.
 
-    There is an edge at a length and speed if cells lie on both sides of it, or if a cell is close to it (factor `CLOSE`).
+    A length and speed have an edge if cells lie on both sides of the edge, or if a cell is close to it (factor `CLOSE`).
 
     Args:
         bumps: bumps of all N cells.
-        used: largest value relative to a limit in each cell, shape (N,).
+        used: largest signal value relative to its limit in each cell, shape (N,).
     """
     columns, edges = dict[tuple[float, float], list[int]](), list[int]()
     for i, bump in enumerate(bumps):
@@ -202,10 +208,10 @@ def _predict_cells(
     loads: tuple[Load, ...],
     progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[Array, Array, Array, Array]:
-    """Returns `used`, `predicted`, `predicted_time` and `travel` of `Cells`.
+    """Returns the attributes `used`, `predicted`, `predicted_time` and `travel` of `Cells`.
 
-    If responses are proportional to the height, one response over a bump of 1 m predicts all heights. Otherwise, each bump has
-    its own response.
+    If responses are proportional to the bump height, the response over a bump of 1 m predicts the responses for all heights.
+    If responses are not proportional to the bump height, a separate response is computed for each bump.
     """
     heights, members = np.array([bump.height for bump in bumps]), dict[Road, list[int]]()
     proportional = not (vehicle.parts.nonlinear or loads)

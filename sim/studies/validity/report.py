@@ -1,4 +1,4 @@
-"""Output of maps of validity, and of ends of the linear regime: documents, JSON, CSV and figures."""
+"""Output of maps of validity, and of heights at which the linear regime ends, as documents, JSON, CSV and figures."""
 
 import itertools
 import math
@@ -60,9 +60,9 @@ ENDS: tuple[Field[OneEnd], ...] = (
 
 
 def write_csv(path: Path, cells: Cells) -> None:
-    """Writes a CSV file with a row per cell in SI units.
+    """Writes a CSV file with a row for each cell, in SI units.
 
-    Entries are empty for limits that are not reached, and for MuJoCo results of cells that were not simulated.
+    Entries are empty for limits that are not reached, and, in cells that were not simulated, for MuJoCo results.
     """
     rows, shares = _cells(cells), [f"linear_share_of_{end.replace(' ', '_').replace('-', '_')}" for end in END_NAMES]
     last = [key for key in ("missing_force", "simulated") if key in rows[0]]
@@ -73,7 +73,7 @@ def write_csv(path: Path, cells: Cells) -> None:
 
 
 def _cells(cells: Cells) -> list[dict[str, Any]]:
-    """Returns a JSON object for each cell, with the share of missing force only if the vehicle has semi-active dampers."""
+    """Returns a JSON object for each cell; it contains the share of missing force only if the vehicle has semi-active dampers."""
     dampers = any(math.isfinite(one.missing) for one in cells.driven.values())
     return [
         {
@@ -129,7 +129,7 @@ def describe(cells: Cells) -> Document:
 
 
 def _loop_texts(cells: Cells) -> list[str]:
-    """Returns sentences about the implementation in linear analysis and in MuJoCo, and about an unstable loop."""
+    """Returns sentences about how linear analysis and MuJoCo treat the implementation, and about an unstable loop."""
     how, stability, texts = cells.vehicle.implementation, cells.controller.certificate, list[str]()
     if cells.controller.law.acts and (linear := built_words(cells.vehicle)):
         texts.append(f"Linear analysis is of the implemented loop: {linear}.")
@@ -141,12 +141,13 @@ def _loop_texts(cells: Cells) -> list[str]:
 
 
 def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Document:
-    """Returns the document about the maps of several controllers over the same bumps, with figures.
+    """Returns the document about the validity maps of several controllers over the same bumps, with figures.
 
     Args:
         maps: maps of validity, one for each controller.
         timestep: timestep of the simulation [s].
-        without: text that excludes noise and quantisation, such as ", without its noise"; empty if the runs omit nothing.
+        without: text that states that noise and quantisation are omitted, such as ", without its noise"; empty if the runs omit
+            nothing.
     """
     size = " by ".join(f"{len(axis.values)} {axis.name}s" for axis in maps[0].axes)
     text = (
@@ -165,7 +166,9 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
 
 
 def verdicts(maps: Sequence[Cells]) -> list[Statement]:
-    """Returns statements about maps: one for the controllers whose map MuJoCo confirms, and one for the others."""
+    """Returns statements about validity maps: one for all controllers whose map MuJoCo confirms, and one for the other
+    controllers.
+    """
     statements = list[Statement]()
     for right in (True, False):
         if not (some := [one for one in maps if one.as_predicted == right]):
@@ -189,9 +192,10 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
 
     Args:
         vehicle: vehicle that drives over the bump.
-        ends: end of the linear regime for each controller.
-        wrong: names of controllers whose runs disagree with linear analysis. No height is stated for these controllers.
-        where: name of the road over which the runs of these controllers disagree.
+        ends: height at which the linear regime ends, for each controller.
+        wrong: names of controllers whose runs disagree with linear analysis. No height is stated for the controllers in
+            `wrong`.
+        where: name of the road on which the runs of the controllers in `wrong` disagree with linear analysis.
         bump: bump with the length and speed for which the heights were found.
         runs: text that states the duration and the timestep of the runs over the bump.
     """
@@ -235,8 +239,8 @@ NOTHING = "#dcefdc"
 def envelope_figure(cells: Cells) -> Figure:
     """Returns the figure that shows a map of validity over the bumps.
 
-    Colours show the predicted first limit, a line shows the edge of the linear regime, and markers show the MuJoCo runs. A map
-    with one axis shows the largest response relative to each limit instead.
+    Colours show the predicted first limit, a line shows the edge of the linear regime, and markers show the MuJoCo runs. For a
+    map with one axis, the figure shows the largest response relative to each limit instead.
     """
     vehicle, axes = cells.vehicle, cells.axes
     if len(axes) == 1:
@@ -271,8 +275,8 @@ ENCLOSED_HEIGHT = "MuJoCo: height enclosed by two runs"
 
 
 def _markers(cells: Cells, places: Array) -> list[Curve]:
-    """Returns markers for the simulated cells in the figure. `places` contains the coordinates of all cells in the figure,
-    shape (N, 2).
+    """Returns the markers of the simulated cells in the figure of the map. `places` contains the figure coordinates of all
+    cells, shape (N, 2).
     """
     within, kinds = f"{THRESHOLD.text(cells.threshold)} of a peak", dict[tuple[str, Marker], list[int]]()
     for i, one in cells.driven.items():
@@ -288,7 +292,7 @@ def _markers(cells: Cells, places: Array) -> list[Curve]:
 
 
 def _marks(points: Array, label: str, marker: Marker) -> Curve:
-    """Returns black markers at given points, shape (N, 2). Black is legible on all colours of a map."""
+    """Returns black markers at some points, shape (N, 2). Black is legible on all colours that a map contains."""
     return Curve(points[:, 0], points[:, 1], label, BLACK, "none", marker)
 
 
@@ -303,7 +307,9 @@ def _figure(cells: Cells, xlabel: str, ylabel: str, curves: Sequence[Curve], gro
 
 
 def _line_figure(cells: Cells, axis: GridAxis) -> Figure:
-    """Returns the figure of a map with one axis: largest response relative to each limit, and markers of the MuJoCo runs."""
+    """Returns the figure of a map with one axis, which shows the largest response relative to each limit, and markers of the
+    MuJoCo runs.
+    """
     x, used = np.array(axis.values), cells.used
     curves = [
         Curve(x, used[:, i], f"{end.name}, linear analysis", end.color, width=1.8)
@@ -318,9 +324,9 @@ def _line_figure(cells: Cells, axis: GridAxis) -> Figure:
 
 
 def _at(vehicle: Vehicle, end: End) -> str:
-    """Returns a text that states a limit of the vehicle file, if the limit is the same in both directions.
+    """Returns a text that states the value of a limit, if this limit is the same in both directions.
 
-    For a nonlinear characteristic, the text contains the allowed difference from its linearisation.
+    For a nonlinear characteristic, the text states the largest allowed difference from the linearisation.
     """
     if end is CURVE:
         return f" (differs from its line by {100 * LEAVES:g} % of its largest force)"

@@ -1,4 +1,4 @@
-"""Studies of the validity of linear analysis: the map, and the height of a bump up to which linear analysis is valid."""
+"""Studies of the validity of linear analysis, which compute the map and the bump height up to which linear analysis is valid."""
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -33,7 +33,7 @@ OF_A_PAGE = ("height:0.02:0.3:20", "speed:3:30:20")  # axes of the maps that a r
 
 
 class EnvelopeStudy(EnvelopeCommand):
-    """Study that maps the validity of linear analysis: for one controller in the command, for each active controller in the
+    """Study that maps the validity of linear analysis, for one controller in the command, and for each active controller in the
     report.
     """
 
@@ -88,8 +88,8 @@ class EnvelopeStudy(EnvelopeCommand):
     def runs(self, request: StudyRequest, result: Cells) -> dict[str, Run]:
         """Simulates some cells of the map, and returns the runs by name.
 
-        For each limit, the simulated cell is the one that exceeds this limit by the least amount. One further simulated cell is
-        the one that comes closest to a limit without reaching it.
+        For each limit, the cell that exceeds the limit by the smallest amount is simulated. In addition, the cell that comes
+        closest to a limit without reaching it is simulated.
         """
         time = sample_times(request.vehicle, request.options.duration, request.options.timestep)
         nearest, used = {}, result.used.max(axis=-1)
@@ -116,7 +116,7 @@ class EnvelopeStudy(EnvelopeCommand):
 
 
 class EndsStudy(Study[list[RegimeEnd | None]]):
-    """Study that adds to a report the bump height up to which linear analysis is valid, for each stable controller."""
+    """Study that adds to a report, for each stable controller, the bump height up to which linear analysis is valid."""
 
     def requests(self, scope: Subject) -> Mapping[str, Subject]:
         return {"": scope} if scope.stable else {}
@@ -136,10 +136,10 @@ class EndsStudy(Study[list[RegimeEnd | None]]):
 
 
 def _map_of(request: StudyRequest) -> tuple[list[Bump], Array, tuple[Load, ...]]:
-    """Returns the requested bumps, the sample times of all runs [s], shape (T,), and the requested loads.
+    """Returns the requested bumps, the sample times of all runs [s], shape (T,), and the requested loads on the body.
 
     Raises:
-        InputError: an axis or a load is invalid, or an option also sets the quantity of an axis.
+        InputError: an axis or a load is invalid, or another option sets a quantity that is already an axis.
     """
     options = request.options
     axes = read_axes(options.vary or [])

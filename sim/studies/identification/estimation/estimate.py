@@ -1,11 +1,13 @@
-"""Maximum-likelihood estimate of a vehicle's parameters, with intervals and the combinations that the logs do not determine.
+"""Maximum-likelihood estimate of a vehicle's parameters, with confidence intervals and the parameter combinations that the logs
+do not determine.
 
-The residuals of each sensor are divided by the rms of its noise. If this rms is not given, it is estimated from the residuals,
-alternately with the parameters. `scipy.optimize.least_squares` minimises the sum of squares of the residuals.
+The residuals of each sensor are divided by the rms of the sensor's noise. If the noise rms is not supplied, it is estimated
+from the residuals, alternately with the parameters. `scipy.optimize.least_squares` minimises the sum of squares of the
+residuals.
 
-Intervals. J contains the derivatives of all residuals. The covariance of the parameters' logarithms is (J'J)^-1. If the
-residuals of a sensor are coloured, this covariance is too small. (J'J)^-1 J'RJ (J'J)^-1 is then used, where R is the
-autocovariance of an autoregressive model of each sensor's residuals.
+Intervals. J is the matrix of the derivatives of all residuals. The covariance of the parameters' logarithms is (J'J)^-1. If the
+residuals of a sensor are coloured, (J'J)^-1 underestimates the true covariance. For coloured residuals, (J'J)^-1 J'RJ (J'J)^-1
+is used, where R is the autocovariance of an autoregressive model of each sensor's residuals.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,23 +35,24 @@ NOISELESS = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Result of an identification.
+    """Result of an identification: the estimate with its covariance and tests.
 
     Attributes:
-        problem: parameters to identify, and the experiments from whose logs they are estimated.
+        problem: parameters to identify, and the experiments whose logs are used for the estimate.
         values: values of all free parameters [SI], by name; parameters that were not estimated keep their initial values.
         free: names of the p parameters that were estimated.
-        structure: parameters and combinations that the logs do not determine.
+        structure: parameters, and combinations of parameters, that the logs do not determine.
         delays: estimated delays of the sensors [s], by signal.
-        noise: rms of the sensor noise of each signal.
+        noise: rms of the sensor noise, by signal.
         covariance: covariance of the logarithms of the free parameters if the residuals are white, shape (p, p).
-        robust: covariance of the same logarithms, computed from the autocovariance of the residuals, shape (p, p).
-        whiteness: result of the whiteness test of each experiment, by signal.
+        robust: covariance of the logarithms of the free parameters, computed from the autocovariance of the residuals, shape
+            (p, p).
+        whiteness: results of the whiteness tests of each experiment, by signal.
         differences: predicted minus measured signals of each experiment, shape (T, q).
         predicted: predicted signals of each experiment, shape (T, q).
-        deviance: -2 log likelihood, up to a constant.
-        residuals: residuals of the estimate, for further analysis.
-        x: values of all unknowns at the estimate, see `residuals`.
+        deviance: -2 log likelihood of the estimate, up to a constant.
+        residuals: object that computes the residuals, for further analysis.
+        x: values of all unknowns at the estimate; `residuals` describes their order.
     """
 
     problem: IdentificationProblem
@@ -69,16 +72,16 @@ class Estimate:
 
     @cached_property
     def noiseless(self) -> dict[str, float]:
-        """Signals that are fitted almost exactly, by name: largest ratio of the residuals' rms to the signal's rms.
+        """Signals that are fitted almost exactly, by name, with the largest ratio of the residuals' rms to the signal's rms.
 
-        For spectra, there are no such signals, because periodograms scatter.
+        Fits to spectra have no such signals, because periodograms scatter.
         """
         shares = {name: max(1 - each[name] for each in self.fits if name in each) for name in self.problem.signals}
         return {name: share for name, share in shares.items() if share < NOISELESS and self.predicted}
 
     @property
     def white(self) -> bool:
-        """True if the residuals of all signals are white; signals without noise are not counted."""
+        """True if the residuals of all signals are white; signals without noise are ignored."""
         return all(one.white or name in self.noiseless for each in self.whiteness for name, one in each.items())
 
     @property
@@ -88,7 +91,7 @@ class Estimate:
 
     @property
     def spread(self) -> Array:
-        """Covariance from which intervals are computed: `robust` if residuals are coloured, else `covariance`."""
+        """Covariance from which confidence intervals are computed: `robust` if residuals are coloured, otherwise `covariance`."""
         return self.robust if self.coloured else self.covariance
 
     @cached_property
@@ -98,20 +101,20 @@ class Estimate:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Free parameters whose interval is so wide that the logs do not determine them in practice."""
+        """Free parameters whose confidence interval is so wide that the logs do not determine them in practice."""
         return tuple(name for name, deviation in self.deviations.items() if not deviation < WIDE)
 
     def interval(self, name: str) -> tuple[float, float]:
-        """Returns the 95 % interval of a free parameter."""
+        """Returns the 95 % confidence interval of a free parameter."""
         value, width = self.values[name], NORMAL * self.deviations[name]
         return value * float(np.exp(-width)), value * float(np.exp(width))
 
     def combination(self, powers: Mapping[str, float]) -> tuple[float, float]:
-        """Returns the value of a product of powers of parameters, and the standard deviation of its logarithm.
+        """Returns the value of a product of parameter powers, and the standard deviation of the logarithm of this product.
 
         Args:
-            powers: power of each parameter, by name. Parameters held at their initial values count as known, because the
-                product does not depend on these values.
+            powers: exponent of each parameter in the product, by name. Parameters that are held at their initial values count
+                as known, because the product does not depend on these values.
         """
         weights = np.array([powers.get(name, 0.0) for name in self.free])
         value = float(np.exp(sum(power * np.log(self.values[name]) for name, power in powers.items())))
@@ -119,13 +122,13 @@ class Estimate:
 
     @property
     def fits(self) -> list[dict[str, float]]:
-        """For each experiment, the fit of each signal: 1 - rms of the residuals / standard deviation of the signal."""
+        """For each experiment, the fit of each signal, defined as 1 - rms of the residuals / standard deviation of the signal."""
         return self.residuals.fits(self.x)
 
     @cached_property
     def ratios(self) -> dict[str, dict[str, float]]:
-        """For each free parameter, the product with powers of held parameters that the logs determine, given as the power of
-        each parameter.
+        """For each free parameter, the exponents of the product of this parameter and powers of held parameters that the logs
+        determine.
         """
         return self.structure.determined(self.free)
 
@@ -135,11 +138,11 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0,
 
     Args:
         free: names of the parameters to estimate; all other parameters keep their initial values.
-        seed: random seed of further starting points, which are tried if the first one leads to a poor fit.
+        seed: random seed for further starting points, which are tried if the first starting point leads to a poor fit.
         several: False to search only from the initial values.
 
     Raises:
-        InputError: there is nothing to estimate, or the search from every starting point fails.
+        InputError: there is nothing to estimate, or the searches from all starting points fail.
     """
     if not free:
         raise InputError(f"no parameter is free; free one of {list_names(problem.first)} with --free")
@@ -156,9 +159,10 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0,
 
 
 def nearby(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
-    """Returns the parameter values found by a search from the initial values; None if their deviance is larger than `deviance`.
+    """Returns the parameter values found by a search from the initial values; None if the deviance of these values is larger
+    than `deviance`.
 
-    The search is not run if its starting point is far from a solution.
+    If the starting point is far from a solution, no search is run.
     """
     of = Residuals(problem, free)
     x = first_unknowns(of)
@@ -169,7 +173,7 @@ def nearby(problem: IdentificationProblem, free: Sequence[str], deviance: float)
 
 
 def _estimate(of: Residuals, solution: Solution, structure: Structure) -> Estimate:
-    """Returns the estimate that belongs to a solution of the search, with covariances and whiteness tests."""
+    """Returns the estimate that belongs to a solution of the search, with its covariances and whiteness tests."""
     x, noise, p = solution.x, solution.noise, len(of.free)
     R, C = information(of.reduced(x, noise)[0], p)
     inverse, values = np.linalg.pinv(R), of.values(x)

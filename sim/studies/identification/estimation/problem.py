@@ -1,4 +1,4 @@
-"""Problem of an identification: the parameters to identify, the experiments that provide the logs, and known combinations of
+"""Problem of an identification: the parameters to identify, the experiments with the logs, and known combinations of
 parameters.
 """
 
@@ -14,13 +14,13 @@ from sim.studies.identification.prediction import LogPrediction
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """A combination of parameters whose value is known from elsewhere, such as a corner weight or a weighed mass.
+    """A combination of parameters whose value is known from another source, such as a corner weight or a weighed mass.
 
     Attributes:
         name: name of the combination in reports.
-        of: function that computes the combination for a vehicle [SI].
+        of: function that computes the combination [SI] for a vehicle.
         value: measured value of the combination [SI].
-        deviation: standard deviation of this value [SI].
+        deviation: standard deviation of the measured value [SI].
     """
 
     name: str
@@ -31,14 +31,14 @@ class Known:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationProblem:
-    """Parameters to identify, and the experiments from whose logs they are estimated.
+    """Parameters to identify, and the experiments whose logs are used for the estimate.
 
     Attributes:
-        vehicle: vehicle with the initial values of its parameters.
-        change: function that returns the vehicle with other values of some parameters.
-        first: initial values of all free parameters, by name; each is above 0.
-        experiments: experiments from whose logs the parameters are estimated.
-        known: combinations of parameters whose values are known from elsewhere.
+        vehicle: vehicle whose parameters have their initial values.
+        change: function that returns the vehicle after some parameter values were changed.
+        first: initial values of all free parameters, by name; every value is above 0.
+        experiments: experiments whose logs are used to estimate the parameters.
+        known: combinations of parameters whose values are known from other sources.
         from_zero: names of the free parameters that may be zero; all other parameters are represented by their logarithms.
         lowest: smallest allowed values of parameters that need a limit above 0 (such as an exponent), by name.
     """
@@ -53,7 +53,7 @@ class IdentificationProblem:
 
     @cached_property
     def predictions(self) -> tuple[LogPrediction, ...]:
-        """The predictor of each experiment's signals."""
+        """The object that predicts the signals of each experiment."""
         return tuple(
             (PartPrediction if one.part else LogPrediction)(one, lambda values: self.change(self.vehicle, values))
             for one in self.experiments

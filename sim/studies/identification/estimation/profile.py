@@ -1,9 +1,8 @@
-"""Confidence interval of a parameter by profile likelihood, for intervals that are wide, one-sided or not symmetric.
+"""Confidence interval of a parameter by profile likelihood; such intervals may be wide, one-sided or asymmetric.
 
 The profile is the deviance as a function of one parameter, minimised over all other unknowns. Points of the profile are computed
-in steps from the estimate outwards. Each point is computed from the previous one, which is first moved along the tangent of the
-curve of minima. The square root of the deviance's rise is almost linear in the parameter, so a few more points give the end of
-the interval.
+in steps from the estimate outwards. Each search starts at the previous point, moved along the tangent of the curve of minima.
+The square root of the rise in deviance is almost linear in the parameter, so a few more points give the end of the interval.
 """
 
 import math
@@ -23,11 +22,11 @@ REFINED = 6  # largest number of points within the last step
 
 
 def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
-    """Returns the 95 % interval of a parameter by profile likelihood; None for a side that is open.
+    """Returns the two ends of a parameter's 95 % confidence interval by profile likelihood; None for an open end.
 
-    A side is open if the likelihood never falls as far as it must at the end of an interval. The parameter is changed by a
-    factor of up to 8000, or to zero if it may be zero. If residuals are coloured, the required fall is
-    larger by the ratio of the parameter's robust variance to its variance for white residuals.
+    An end is open if the likelihood never falls to the level that defines the end of an interval. The search changes the
+    parameter by a factor of up to 8000, or to zero if the parameter may be zero. If the residuals are coloured, the required
+    fall is larger by the ratio of the parameter's robust variance to its variance for white residuals.
     """
     i, own = of.free.index(name), of.residuals
     from_zero, best = name in of.problem.from_zero, of.x[i]
@@ -44,13 +43,13 @@ def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
 
 
 def _end(of: Estimate, i: int, last: float, step: float, level: float) -> float | None:
-    """Returns the value of unknown i at which the square root of the deviance's rise reaches a level; None if this level is
+    """Returns the value of unknown i at which the square root of the rise in deviance reaches a level; None if this level is
     never reached.
 
     Args:
         last: value of the unknown at which the search stops.
         step: size of the first step of the unknown from the estimate.
-        level: square root of the rise of the deviance at the end of the interval.
+        level: square root of the rise in deviance at the end of the interval.
     """
     from scipy.optimize import brentq
 

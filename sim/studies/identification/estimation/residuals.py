@@ -1,8 +1,9 @@
-"""Residuals of all experiments, predicted minus measured signals divided by the noise, and derivatives of the residuals.
+"""Residuals of all experiments, which are the predicted minus the measured signals divided by the noise, and derivatives of
+these residuals.
 
-The vector x contains all unknowns: free parameters, delays of sensors [s], and the starting state and offsets of each
-experiment. The unknown that represents a parameter is the logarithm of its ratio to the initial value, or the ratio itself if
-the parameter may be zero.
+The vector x contains all unknowns: the free parameters, the sensor delays [s], and the starting state and offsets of each
+experiment. A parameter is represented by the logarithm of its ratio to the initial value, or by the ratio itself if the
+parameter may be zero.
 """
 
 import math
@@ -25,17 +26,17 @@ class Residuals:
     """Residuals for one choice of free parameters.
 
     Attributes:
-        problem: parameters to identify and experiments; the parameters that are not free keep their initial values.
+        problem: parameters to identify, and experiments; parameters that are not free keep their initial values.
         free: names of the p free parameters.
         delayed: index in x of each estimated delay, by signal.
-        starts: indices in x of each experiment's starting state; empty if the vehicle starts in equilibrium.
-        offsets: indices in x of each experiment's estimated offsets, by index of the channel.
+        starts: indices in x of the starting state of each experiment; empty if the vehicle starts in equilibrium.
+        offsets: indices in x of the estimated offsets of each experiment, by index of the channel.
         size: number of unknowns in x.
         measured: measured signals of each experiment, shape (T, q).
     """
 
     def __init__(self, problem: IdentificationProblem, free: Sequence[str]) -> None:
-        """Prepares the indices of the unknowns."""
+        """Prepares the indices of the unknowns in x."""
         self.problem, self.free = problem, tuple(free)
         self.delayed = {name: len(self.free) + i for i, name in enumerate(problem.delayed)}
         self.size, self.starts, self.offsets = len(self.free) + len(self.delayed), list[slice](), list[dict[int, int]]()
@@ -49,14 +50,14 @@ class Residuals:
         self._at, self._predicted = None, list[PredictedSignals]()
 
     def values(self, x: Array) -> dict[str, float]:
-        """Returns the values of all parameters."""
+        """Returns the values of all parameters of the vehicle."""
         values = dict(self.problem.first)
         for name, number in zip(self.free, x.tolist(), strict=False):
             values[name] = self.value(name, number)
         return values
 
     def value(self, name: str, unknown: float) -> float:
-        """Returns the value of a parameter from the unknown that represents it; the inverse of `coordinate`."""
+        """Returns the value of a parameter, computed from the unknown that represents the parameter; inverse of `coordinate`."""
         if name in self.problem.from_zero:
             return self.problem.first[name] * max(unknown, 0.0)
         return self.problem.first[name] * math.exp(min(max(unknown, -FURTHEST), FURTHEST))
@@ -75,22 +76,22 @@ class Residuals:
         return [name for name, one in logarithms if name not in self.problem.from_zero and abs(one) >= FURTHEST]
 
     def coordinate(self, name: str, value: float) -> float:
-        """Returns the unknown that represents a parameter: the ratio to its initial value if it may be zero, else the logarithm
-        of this ratio.
+        """Returns the unknown that represents a parameter: the parameter's ratio to its initial value if it may be zero,
+        otherwise the logarithm of this ratio.
         """
         ratio = value / self.problem.first[name]
         return ratio if name in self.problem.from_zero else math.log(ratio)
 
     def sizes(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Returns the derivative of each free parameter with respect to the unknown that represents it, by name."""
+        """Returns the derivative of each free parameter with respect to the unknown that represents the parameter, by name."""
         return {name: (self.problem.first if name in self.problem.from_zero else values)[name] for name in self.free}
 
     def delays(self, x: Array, experiment: Experiment) -> list[float]:
-        """Returns the delays of an experiment's channels [s]."""
+        """Returns the sensor delay of each channel of an experiment [s]."""
         return [float(x[self.delayed[one.signal]]) if one.signal in self.delayed else one.delay for one in experiment.channels]
 
     def start(self, x: Array, i: int) -> Array | None:
-        """Returns the state at the start of an experiment; None if the vehicle starts in equilibrium."""
+        """Returns the state of the vehicle at the start of an experiment; None if the vehicle starts in equilibrium."""
         return None if self.problem.experiments[i].from_rest else x[self.starts[i]]
 
     def shifts(self, x: Array, i: int) -> Array:
@@ -100,8 +101,8 @@ class Residuals:
         return shifts
 
     def predicted(self, x: Array) -> list[PredictedSignals]:
-        """Returns the predicted signals of all experiments, with offsets. The last result is cached, for further calls with the
-        same x.
+        """Returns the predicted signals of all experiments, including sensor offsets. The last result is cached and is used
+        again if x does not change.
         """
         if self._at is None or not np.array_equal(self._at, x):
             values, each = self.values(x), list[PredictedSignals]()
@@ -116,13 +117,15 @@ class Residuals:
         return [one.values - measured for one, measured in zip(self.predicted(x), self.measured, strict=True)]
 
     def channels(self, x: Array) -> Iterator[tuple[Channel, Array]]:
-        """Yields all channels of all experiments, each with its predicted minus measured values, without missing values."""
+        """Yields, for each channel of each experiment, the predicted minus the measured values, without missing values."""
         for one, difference in zip(self.problem.experiments, self.differences(x), strict=True):
             for channel, values in zip(one.channels, difference.T, strict=True):
                 yield channel, values[np.isfinite(values)]
 
     def channel_columns(self, x: Array, noise: Mapping[str, float], i: int, channel: int, part: slice = slice(None)) -> Array:
-        """Returns the derivatives of an experiment's residuals in one channel, with a column per unknown, shape (T, unknowns)."""
+        """Returns the derivatives of an experiment's residuals in one channel, with a column for each unknown, shape (T,
+        unknowns).
+        """
         signals, name = self.predicted(x)[i], self.problem.experiments[i].signals[channel]
         columns, size = np.zeros((len(signals.values[part]), self.size)), noise[name]
         for j, scale in enumerate(self.sizes(self.values(x)).values()):
@@ -135,7 +138,7 @@ class Residuals:
         return columns
 
     def whole(self, x: Array, noise: Mapping[str, float], most: int) -> tuple[Array, Array]:
-        """Returns the derivatives of all residuals, shape (N, unknowns), and the residuals, shape (N,), by channel.
+        """Returns the derivatives of all residuals, shape (N, unknowns), and the residuals, shape (N,), ordered by channel.
 
         Args:
             most: largest number of samples that are used from each experiment.
@@ -144,9 +147,10 @@ class Residuals:
         return np.concatenate([J for J, _ in each]), np.concatenate([residuals for _, residuals in each])
 
     def reduced(self, x: Array, noise: Mapping[str, float]) -> tuple[Array, Array]:
-        """Returns R and c of a small least-squares problem with the same solution as the whole problem, by QR decomposition.
+        """Returns the matrix R and the vector c of a small least-squares problem with the same solution as the whole problem,
+        by QR decomposition.
 
-        The derivatives of a long log are never in memory all at the same time. R has the shape (unknowns + 1, unknowns), and c
+        The derivatives of a long log are never all in memory at the same time. R has the shape (unknowns + 1, unknowns), and c
         the shape (unknowns + 1,).
         """
         whole = np.column_stack([self.known_columns(x), self._known(self.values(x))])
@@ -178,7 +182,9 @@ class Residuals:
         return np.array([(one.of(vehicle) - one.value) / one.deviation for one in self.problem.known])
 
     def noise(self, x: Array) -> dict[str, float]:
-        """Returns the noise rms of each signal: the given value, or else the rms of its residuals."""
+        """Returns the noise rms of each signal: the supplied value or, if none was supplied, the rms of the signal's
+        residuals.
+        """
         squares, counts, given = dict[str, float](), dict[str, int](), dict[str, float]()
         for channel, values in self.channels(x):
             squares[channel.signal] = squares.get(channel.signal, 0.0) + float(values @ values)
@@ -188,7 +194,7 @@ class Residuals:
         return {name: given.get(name) or max(math.sqrt(squares[name] / counts[name]), 1e-9 * self.scale[name]) for name in counts}
 
     def deviance(self, x: Array, noise: Mapping[str, float]) -> float:
-        """Returns -2 log likelihood, up to a constant."""
+        """Returns -2 log likelihood of the unknowns, up to a constant."""
         known = self._known(self.values(x))
         total = float(known @ known)
         for channel, values in self.channels(x):
@@ -206,7 +212,7 @@ class Residuals:
         return {name: float(np.concatenate(each).std()) or 1.0 for name, each in own.items()}
 
     def fits(self, x: Array) -> list[dict[str, float]]:
-        """Returns for each experiment the fit of each signal: 1 - rms of the residuals / standard deviation of the signal."""
+        """Returns, for each experiment, the fit of each signal: 1 - rms of the residuals / standard deviation of the signal."""
         each = list[dict[str, float]]()
         for one, difference in zip(self.problem.experiments, self.differences(x), strict=True):
             each.append({})
@@ -218,5 +224,5 @@ class Residuals:
 
 
 def bounded(residuals: Array) -> Array:
-    """Returns residuals in which large numbers replace overflows, so that the search turns back from unstable vehicles."""
+    """Returns the residuals, where large numbers replace overflows, so that the search turns back from unstable vehicles."""
     return np.nan_to_num(np.clip(residuals, -1e12, 1e12), nan=1e12)

@@ -1,4 +1,4 @@
-"""Search for the parameters with the largest likelihood, from one or several starting points."""
+"""Search for the parameters that maximise the likelihood, from one or several starting points."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -26,7 +26,9 @@ POOR = 0.5  # if the fit explains a smaller share of a signal's mean square than
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Result of a search: the unknowns, the noise rms of each signal, and the deviance (-2 log likelihood + constant)."""
+    """Result of a search: the values of the unknowns, the noise rms of each signal, and the deviance (-2 log likelihood +
+    constant).
+    """
 
     x: Array
     noise: Mapping[str, float]
@@ -34,7 +36,8 @@ class Solution:
 
 
 def first_unknowns(of: Residuals, shift: Array | None = None) -> Array:
-    """Returns the initial unknowns: the initial parameter values, and the starting states and offsets that fit best with them.
+    """Returns the initial unknowns: the initial parameter values, and the starting states and offsets that fit best for these
+    values.
 
     Args:
         shift: change that is added to the unknowns of the free parameters, shape (p,).
@@ -54,13 +57,13 @@ def first_unknowns(of: Residuals, shift: Array | None = None) -> Array:
 
 
 def solve(of: Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST, among: Sequence[int] | None = None) -> Solution:
-    """Returns the solution with the largest likelihood that a search from x finds. Unknowns and noise are estimated
+    """Returns the solution with the largest likelihood, found by a search that starts at x. Unknowns and noise are estimated
     alternately.
 
     Args:
-        rounds: largest number of rounds, in which unknowns and noise are estimated alternately.
-        most: largest number of evaluations in each round.
-        among: indices of the unknowns that the search may change; all by default.
+        rounds: largest number of rounds; each round estimates the unknowns and then the noise.
+        most: largest number of evaluations of the residuals in each round.
+        among: indices of the unknowns that the search may change; by default all unknowns.
     """
     noise = of.noise(x)
     for _ in range(rounds):
@@ -72,7 +75,7 @@ def solve(of: Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST, among
 
 
 def solve_from_several(of: Residuals, seed: int) -> Solution:
-    """Returns the best solution from the initial values and, if it fits poorly, from random starting points.
+    """Returns the best solution of the searches from the initial values and, if the fit is poor, from random starting points.
 
     Raises:
         InputError: no vehicle can have the initial values.
@@ -87,10 +90,11 @@ def solve_from_several(of: Residuals, seed: int) -> Solution:
 
 
 def least_squares(of: Residuals, x: Array, noise: Mapping[str, float], most: int, among: Sequence[int] | None = None) -> Array:
-    """Returns the unknowns with the least sum of squares of residuals divided by the noise, after at most `most` evaluations.
+    """Returns the unknowns with the smallest sum of squared residuals, each divided by the noise, after at most `most`
+    evaluations.
 
     Args:
-        among: indices of the unknowns that the search may change; all by default.
+        among: indices of the unknowns that the search may change; by default all unknowns.
     """
     from scipy import optimize
 
@@ -126,7 +130,9 @@ def lower_limits(of: Residuals) -> Array:
 
 
 def _poor(of: Residuals, x: Array) -> bool:
-    """Returns True if a signal's residuals are not white, and the fit explains less than `POOR` of the signal's mean square."""
+    """Returns True if a signal's residuals are not white and the fit explains less than the share `POOR` of the signal's mean
+    square.
+    """
     each = zip(of.problem.experiments, of.differences(x), strict=True)
     return any(
         np.nanmean(values**2) > (1 - POOR) * of.scale[name] ** 2 and not whiteness(values).white

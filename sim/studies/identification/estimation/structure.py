@@ -1,11 +1,12 @@
-"""Combinations of parameters that the logs determine, and directions along which no signal changes.
+"""Combinations of parameters that the logs determine, and directions in parameter space along which no signal changes.
 
-J contains the derivatives of all residuals, and J'J is the information matrix. The columns of J for the parameters are
-projected onto the orthogonal complement of the columns for all other unknowns. The singular value decomposition of the result
-gives the singular values s, and in V the directions in the space of the logarithms. A change of the logarithms along a
-direction with s = 0 changes no signal. The motion of a quarter-car has one such direction: all masses, stiffnesses and dampings
-multiplied by the same number. For each such direction, one parameter is then fixed at its initial value. For each of the other
-parameters, the logs determine the product of this parameter with powers of the fixed ones.
+The matrix J contains the derivatives of all residuals, and J'J is the information matrix. The columns of J that belong to the
+parameters are projected onto the orthogonal complement of the columns of all other unknowns. The singular value decomposition
+of the projected columns gives the singular values s. The columns of V are directions in the space of the parameters'
+logarithms. If a direction has s = 0, a change of the logarithms along this direction changes no signal. For a quarter-car, one
+direction changes no motion: all masses, stiffnesses and dampings are multiplied by a common factor. For each direction with s =
+0, one parameter is then fixed at its initial value. For each parameter that is not fixed, the logs determine the product of
+this parameter with powers of the fixed parameters.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,13 +25,13 @@ ZERO = 1e-5  # a component of a direction counts as zero if its magnitude is sma
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Parameters and combinations that the signals do not determine.
+    """Parameters, and combinations of parameters, that the signals do not determine.
 
     Attributes:
-        held: parameters to hold at their initial values, because the signals determine only products of these with other
-            parameters.
+        held: parameters to hold at their initial values, because the signals determine only products of these parameters with
+            others.
         silent: parameters that affect no signal.
-        directions: directions along which no signal changes: component along each parameter's logarithm, by name.
+        directions: directions along which no signal changes, as components along the logarithms of the parameters, by name.
     """
 
     held: tuple[str, ...]
@@ -38,8 +39,8 @@ class Structure:
     directions: tuple[Mapping[str, float], ...] = ()
 
     def determined(self, free: Sequence[str]) -> dict[str, dict[str, float]]:
-        """Returns for each free parameter the product with powers of held parameters that the logs determine, as the power of
-        each parameter.
+        """Returns, for each free parameter, the exponents of the product of this parameter and powers of held parameters that
+        the logs determine.
         """
         if not self.directions:
             return {}
@@ -54,15 +55,15 @@ class Structure:
 
 
 def information(R: Array, p: int) -> tuple[Array, Array]:
-    """Returns the information on the first p unknowns if all others are estimated, too, and how the others compensate for
+    """Returns the information on the first p unknowns if all unknowns are estimated, and how other unknowns compensate for
     changes of the first p.
 
     Args:
         R: derivatives of all residuals with respect to the u unknowns, or the factor R of their QR decomposition, shape (k, u).
 
     Returns:
-        R, where R'R is the information, shape (p, p), and C, shape (u - p, p). The columns of the others times C are the part of
-        the first p columns that the others can also produce.
+        Matrix R, where R'R is the information on the first p unknowns, shape (p, p), and matrix C, shape (u - p, p). The
+        product of the remaining columns with C is the part of the first p columns that the remaining columns can also produce.
     """
     own, others = R[:, :p], R[:, p:]
     C = np.linalg.lstsq(others, own)[0] if others.shape[1] else np.zeros((0, p))
@@ -70,13 +71,13 @@ def information(R: Array, p: int) -> tuple[Array, Array]:
 
 
 def structure_of(R: Array, free: Sequence[str]) -> Structure:
-    """Returns the parameters and combinations that the signals do not determine.
+    """Returns the parameters, and combinations of parameters, that the signals do not determine.
 
     Args:
         R: derivatives of all residuals with respect to the unknowns at the initial values, or the factor R of the QR
-            decomposition of these derivatives. The first columns are those of the free parameters. At the initial values, they
-            are also the derivatives with respect to the logarithms, even if a parameter may be zero.
-        free: names of the free parameters.
+            decomposition of these derivatives. The first columns of R belong to the free parameters. At the initial values, the
+            first columns are also the derivatives with respect to the logarithms, even for a parameter that may be zero.
+        free: names of the parameters that may be estimated.
     """
     R, _ = information(R, len(free))
     sizes = np.linalg.norm(R, axis=0)
@@ -107,7 +108,7 @@ def structure_of(R: Array, free: Sequence[str]) -> Structure:
 def standard_deviations(problem: IdentificationProblem) -> dict[str, float]:
     """Returns the Cramer-Rao bound on the standard deviation of each parameter's logarithm at the initial values.
 
-    The bound is infinite for a parameter that the signals do not determine. The noise of each sensor must be given.
+    The bound is infinite for a parameter that the signals do not determine. The noise of each sensor must be known.
     """
     of = Residuals(problem, tuple(problem.first))
     x = first_unknowns(of)
@@ -120,6 +121,8 @@ def standard_deviations(problem: IdentificationProblem) -> dict[str, float]:
 
 
 def _tidy(number: float) -> float:
-    """Returns the nearest multiple of 1/12 if a number equals this multiple up to rounding; otherwise the number itself."""
+    """Returns the nearest multiple of 1/12 if a number equals this multiple apart from rounding errors; otherwise the number
+    itself.
+    """
     near = round(12 * number) / 12
     return near if abs(near - number) < 1e-4 else float(number)

@@ -1,1 +1,1 @@
-"""Identification from the spectra of logs of a random road."""
+"""Identification of a vehicle from the spectra of logs that were recorded on a random road."""

@@ -1,18 +1,18 @@
-"""Spectra of logs from a random road: what the sensors measured, and what a vehicle predicts.
+"""Spectra of logs from a random road, both as measured by the sensors and as predicted for a vehicle.
 
-The road is not measured; all that is known about it is the form of its spectrum (ISO 8608). Let F be the frequency response of
-a vehicle from the random sources of the road to the q sensors. The measurements then have the one-sided spectral matrix
+The road is not measured; only the form of its spectrum is known (ISO 8608). Let F be the frequency response of a vehicle from
+the random sources of the road to the q sensors. The one-sided spectral matrix of the measurements is then
 
     S(f) = F F* + 2 h diag(noise^2),
 
-for the sample time h. F contains the delays between the wheels, so front and rear wheels drive over the same road.
+where h is the sample time. F contains the delays between the wheels, so front and rear wheels drive over the same road.
 
-Each log is divided into segments of equal length, which is shorter for high frequencies. A segment is multiplied by a taper w
-that rises from 0 to 1 and falls back to 0. The periodogram of the segment, averaged over the segments, has the expected value
-E, which is the convolution of S with the spectrum of the taper. Comparing periodograms with E instead of S removes the bias due
-to leakage (A. M. Sykulski et al. (2019), Biometrika 106, 251-266). Periodograms at different frequencies are treated as
-independent. The taper reduces their information by the factor N sum w^4 / (sum w^2)^2 (R. Dahlhaus (1988), J. Multivariate
-Anal. 27, 55-83).
+Each log is divided into segments of equal length; for high frequencies, shorter segments are used. Each segment is multiplied
+by a taper w that rises from 0 to 1 and falls back to 0. The periodogram, averaged over all segments, has the expected value E,
+which is the convolution of S with the spectrum of the taper. The comparison of periodograms with E instead of S avoids the bias
+due to leakage (A. M. Sykulski et al. (2019), Biometrika 106, 251-266). Periodograms at different frequencies are treated as
+independent. The taper reduces the information in the periodograms by the factor N sum w^4 / (sum w^2)^2 (R. Dahlhaus (1988), J.
+Multivariate Anal. 27, 55-83).
 """
 
 import itertools
@@ -50,16 +50,16 @@ DIFFERENCE = 1e-5  # relative step of finite differences of matrices
 
 @dataclass(frozen=True, eq=False)
 class Periodograms:
-    """Measured spectra of the segments of an experiment, which all have the same length.
+    """Measured spectra of the segments of an experiment; all segments have the same length.
 
     Attributes:
         experiment: experiment from whose log the spectra are computed.
         frequencies: frequencies at which the periodograms are used [Hz], shape (K,).
-        measured: mean of the periodograms, shape (K, q, q); complex, one-sided.
+        measured: mean of the segments' periodograms, shape (K, q, q); complex, one-sided.
         segments: number of segments into which the log is divided.
         inflation: factor by which the taper reduces the information.
-        kernel: spectrum of the taper at offsets of half a bin, shape (2 REACH + 1,); the sum is 1.
-        first: index of the first frequency, counted in bins from 0 Hz.
+        kernel: spectrum of the taper at frequency offsets of half a bin, shape (2 REACH + 1,); the sum is 1.
+        first: index of the first frequency that is used, counted in bins from 0 Hz.
     """
 
     experiment: Experiment
@@ -72,23 +72,25 @@ class Periodograms:
 
     @property
     def weight(self) -> float:
-        """Number of independent segments with the same information; smaller than `segments`, because the taper reduces the
-        information.
+        """Number of independent segments that would contain the same information; smaller than `segments`, because the taper
+        reduces the information.
         """
         return self.segments / self.inflation
 
     @property
     def width(self) -> float:
-        """Spacing of the frequencies [Hz]."""
+        """Spacing of the periodograms' frequencies [Hz]."""
         return float(self.frequencies[0]) / self.first
 
     def powers(self, spectra: Array) -> Array:
-        """Returns the mean squares of the q signals, computed from their spectra at some of the frequencies, shape (q,)."""
+        """Returns the mean squares of the q signals, computed from the signals' spectra at some of the frequencies, shape
+        (q,).
+        """
         return np.real(np.einsum("kii->i", spectra)) * self.width
 
     @cached_property
     def bands(self) -> list[slice]:
-        """Bands of frequencies for fits and tests; their widths are about proportional to their frequencies."""
+        """Frequency bands for fits and tests; the width of each band is about proportional to its frequency."""
         last = self.first + len(self.frequencies)
         edges = [0]
         for edge in np.geomspace(self.first, last, LAGS + 1)[1:]:
@@ -99,7 +101,9 @@ class Periodograms:
 
     @cached_property
     def grid(self) -> tuple[Array, Array]:
-        """Frequencies of the convolution [Hz], half a bin apart, shape (J,), and True for those below 0, which are mirrored."""
+        """Frequencies at which the convolution is computed [Hz], half a bin apart, shape (J,), and True for frequencies below
+        0, which are mirrored.
+        """
         places = np.arange(2 * self.first - REACH, 2 * (self.first + len(self.frequencies) - 1) + REACH + 1)
         return np.maximum(np.abs(places), 1) * self.width / 2, places < 0
 
@@ -114,14 +118,14 @@ class Periodograms:
 def free_road(experiments: Sequence[Experiment], fix: Sequence[str], free: Sequence[str]) -> dict[str, float] | None:
     """Returns the initial values of the free parameters of a random road; None if no experiment has a random road.
 
-    The roughness is free, and the waviness is fixed, by default.
+    By default, the roughness is free, and the waviness is fixed.
 
     Args:
-        fix: names of parameters that keep their values; parameters of the vehicle are ignored, as in `free`.
-        free: names of additional free parameters.
+        fix: names of parameters that keep their initial values; names of vehicle parameters are ignored, as in `free`.
+        free: names of additional free parameters of the road.
 
     Raises:
-        InputError: only some of the roads are random, or the roads have different initial values.
+        InputError: only some of the roads are random, or the initial values of the roads differ.
     """
     roads = [one.random for one in experiments if one.random is not None]
     if not roads:
@@ -135,7 +139,7 @@ def free_road(experiments: Sequence[Experiment], fix: Sequence[str], free: Seque
 
 
 def road_values(road: Iso8608) -> dict[str, float]:
-    """Returns the parameters of a random road by name."""
+    """Returns the values of the parameters of a random road, by name."""
     return {ROUGHNESS: road.roughness * road.factor**2, WAVINESS: road.waviness}
 
 
@@ -150,7 +154,7 @@ def periodograms(experiment: Experiment) -> Iterator[Periodograms]:
     """Yields the measured spectra of an experiment in each range of frequencies.
 
     Raises:
-        InputError: the log is too short for the frequencies of the road.
+        InputError: the log is too short for the frequency range of the road.
     """
     road = experiment.random
     assert road is not None
@@ -185,15 +189,16 @@ def periodograms(experiment: Experiment) -> Iterator[Periodograms]:
 
 
 class RoadResponse:
-    """Frequency responses of an experiment's sensors to the road, and their derivatives, for one choice of parameters.
+    """Frequency responses from the road to an experiment's sensors, and derivatives of these responses, for one set of free
+    parameters.
 
-    The road has two independent sources with the one-sided spectral density 1.
+    The road is represented by two independent sources with the one-sided spectral density 1.
 
     Args:
         problem: identification problem with the vehicle and its parameters.
-        one: experiment on a random road.
-        values: values of all parameters, including those of the road.
-        free: names of the p parameters with respect to which derivatives are computed.
+        one: experiment whose log was recorded on a random road.
+        values: values of all parameters, including those of the random road.
+        free: names of the p parameters with respect to which the responses are differentiated.
     """
 
     def __init__(self, problem: IdentificationProblem, one: Experiment, values: Mapping[str, float], free: Sequence[str]) -> None:
@@ -214,7 +219,8 @@ class RoadResponse:
         }
 
     def __call__(self, omega: Array) -> tuple[Array, list[Array]]:
-        """Returns the responses, shape (J, q, 2), and derivatives of this shape with respect to the parameters' logarithms.
+        """Returns the frequency responses, shape (J, q, 2), and the derivatives of these responses with respect to the
+        parameters' logarithms, in the same shape.
 
         Args:
             omega: angular frequencies at which the responses are computed [rad/s], shape (J,).
@@ -246,7 +252,7 @@ class RoadResponse:
 
 
 def _matrices(vehicle: Vehicle, one: Experiment) -> list[Array]:
-    """Returns A, Bv, Bd, C, Dv and Dd of `continuous_model`, with the road as the only input."""
+    """Returns the matrices A, Bv, Bd, C, Dv and Dd of `continuous_model`, with the road as the only input."""
     A, Bv, Bd, C, Dv, Dd = continuous_model(vehicle, one)
     r = one.road.shape[1]
     return [A, Bv[:, :r], Bd[:, :r], C, Dv[:, :r], Dd[:, :r]]

@@ -1,12 +1,14 @@
-"""Estimate of a vehicle's parameters from logs of a random road, by maximum likelihood of their spectra (`spectral_residuals`).
+"""Estimate of a vehicle's parameters from logs of a random road, by maximum likelihood of the logs' spectra
+(`spectral_residuals`).
 
-The search is Fisher's scoring: Newton's method in a trust region, with the expected information as half the second derivative.
+The search uses Fisher's scoring: Newton's method in a trust region, where the expected information stands for half the second
+derivative of the deviance.
 
 Test. If the models of vehicle and road are right, the ratio of a signal's periodogram to its expected value has an exponential
-distribution at each frequency. For the mean of several segments, the distribution is a gamma distribution. The same is true for
-the part of a signal that cannot be predicted from the other signals. For both ratios, one test compares the means in bands with
-1, and another test (Kolmogorov) checks the distribution. The smallest of the probabilities is multiplied by the number of
-tests.
+distribution at each frequency. The ratio for the mean of several segments has a gamma distribution. The part of a signal that
+cannot be predicted from the other signals has a ratio with the same distributions. Both ratios are tested twice: one test
+compares the means of the ratio in bands with 1, and another test (Kolmogorov) checks the distribution. The smallest probability
+of all tests is multiplied by the number of tests.
 """
 
 import math
@@ -41,11 +43,11 @@ POOR = 0.5  # if the fit of a signal's spectrum is smaller than this, other star
 
 
 def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: int = 0) -> Estimate:
-    """Identifies parameters of a vehicle and its road. Estimates from spectra have no predicted signals.
+    """Identifies parameters of a vehicle and of its random road. An estimate from spectra contains no predicted signals.
 
     Args:
         free: names of the parameters to estimate; all other parameters keep their initial values.
-        seed: random seed for further starting points, which are tried if the first one leads to a poor fit.
+        seed: random seed for further starting points, which are tried if the first starting point leads to a poor fit.
 
     Raises:
         InputError: the spectra determine no parameter.
@@ -92,14 +94,16 @@ def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: 
 
 
 def nearby_spectra(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
-    """Returns the parameter values found by a search from the initial values; None if their deviance exceeds `deviance`."""
+    """Returns the parameter values found by a search from the initial values; None if the deviance of these values exceeds
+    `deviance`.
+    """
     of = SpectralResiduals(problem, free)
     x = search(of, with_levels(of, of.first()))
     return of.values(x) if of.deviance(x, {}) <= deviance else None
 
 
 def fits_elsewhere(of: Estimate, experiments: Sequence[Experiment]) -> Iterator[tuple[Experiment, Mapping[str, float]]]:
-    """Yields the fits of experiments that were not used for the estimate."""
+    """Yields the fits of the signals in experiments that were not used for the estimate."""
     for one in experiments:
         channels = tuple(
             replace(each, noise=of.noise[each.signal], delay=of.delays.get(each.signal, each.delay), delay_estimated=False)
@@ -113,7 +117,9 @@ def fits_elsewhere(of: Estimate, experiments: Sequence[Experiment]) -> Iterator[
 
 
 def unsteady(experiments: Sequence[Experiment]) -> Iterator[str]:
-    """Yields remarks on signals whose fast motion changes along a log, because a random road needs a constant speed."""
+    """Yields remarks on signals whose fast motion changes in the course of a log, because a random road requires a constant
+    speed.
+    """
     for one in experiments:
         for channel in one.channels:
             parts = np.array_split(np.diff(channel.values), PARTS)
@@ -127,17 +133,17 @@ def unsteady(experiments: Sequence[Experiment]) -> Iterator[str]:
 
 
 def with_levels(of: SpectralResiduals, x: Array) -> Array:
-    """Returns the unknowns, in which roughness and noise now have the values that are most likely for the other unknowns."""
+    """Returns the unknowns after roughness and noise are replaced by the most likely values for the other unknowns."""
     return search(of, x, of.levels, COARSE) if of.levels else x
 
 
 def search(of: SpectralResiduals, x: Array, among: Sequence[int] = (), enough: float = SETTLED, most: int = MOST) -> Array:
-    """Returns the unknowns with the largest likelihood near x.
+    """Returns the unknowns that maximise the likelihood, found by a search from x.
 
     Args:
-        among: indices of the unknowns that the search may change; all by default.
-        enough: the search ends if the derivatives of the deviance are smaller than this.
-        most: largest number of iterations.
+        among: indices of the unknowns that the search may change; by default all unknowns.
+        enough: limit on the derivatives of the deviance; the search ends if all derivatives are smaller than this limit.
+        most: largest number of iterations of the search.
     """
     from scipy.optimize import minimize
 
@@ -164,7 +170,7 @@ def search(of: SpectralResiduals, x: Array, among: Sequence[int] = (), enough: f
 
 
 def spectral_tests(of: SpectralResiduals, x: Array) -> list[dict[str, Whiteness]]:
-    """Returns for each experiment the test result of each signal; see the module docstring."""
+    """Returns, for each experiment, the test result of each signal; the module docstring describes the test."""
     each = list[dict[str, Whiteness]]()
     for one in of.problem.experiments:
         own = [(spectra, E) for spectra, E in zip(of.spectra, of.expected(x), strict=True) if spectra.experiment is one]
@@ -191,7 +197,7 @@ def together(tests: Sequence[Whiteness]) -> Whiteness:
 
 
 def spectral_statement(of: Estimate) -> Statement:
-    """Returns a statement about the result of the test of the spectra."""
+    """Returns a statement about the test result for the spectra."""
     if of.white:
         return Statement(
             "The spectra are as expected: vehicle, random road and noise explain all that the sensors show.", "holds"
@@ -231,7 +237,7 @@ def gamma_test(ratios: Sequence[Array], spectra: Periodograms) -> Whiteness:
     """Tests whether ratios of periodograms to their expected values have the distribution stated in the module docstring.
 
     Args:
-        ratios: arrays of ratios at the same frequencies, each of shape (K,).
+        ratios: arrays of ratios of periodograms to expected values, for common frequencies, each of shape (K,).
     """
     from scipy.special import chdtrc, gammainc, kolmogorov
 

@@ -1,15 +1,15 @@
-"""Residuals of the spectra of logs from a random road (`random_road`), and their derivatives.
+"""Residuals of the spectra of logs from a random road (`random_road`), and derivatives of these residuals.
 
-Whittle's likelihood treats the spectra at different frequencies as independent. With the measured matrix P at a frequency, its
-expected value E, and n = segments / inflation independent segments,
+Whittle's likelihood treats the spectra at different frequencies as independent. Let P be the measured matrix at a frequency, E
+its expected value, and n = segments / inflation the number of independent segments. Then
 
     -2 log L = 2 n sum (log det E + tr E^-1 P).
 
 With E = L L*, the residuals sqrt(n) (I - L^-1 P L^-*) and the derivatives sqrt(n) L^-1 dE L^-* give J'J, which is the expected
 information (Fisher), and 2 J'c, which is the gradient of the deviance.
 
-The unknowns are one vector x: free parameters of vehicle and road as in `residuals`, delays of sensors [s], and noise. The
-unknown that represents a noise is the logarithm of its rms, relative to the rms of the signal.
+All unknowns are in one vector x: free parameters of vehicle and road as in `residuals`, delays of sensors [s], and noise. The
+noise of a signal is represented by the logarithm of the noise rms, relative to the rms of the signal.
 """
 
 import math
@@ -29,19 +29,19 @@ NEAR_ZERO = 1e-6  # smallest ratio to the initial value of a parameter that may 
 
 
 class SpectralResiduals(Residuals):
-    """Residuals of spectra for one choice of free parameters.
+    """Residuals of the logs' spectra for one choice of free parameters.
 
     Attributes:
-        problem: parameters and experiments; the roads of all experiments are random.
+        problem: parameters and experiments; all experiments must have random roads.
         free: names of the p free parameters.
-        delayed: index in x of each estimated delay, by signal.
-        noisy: index in x of each estimated noise, by signal.
+        delayed: index in x of each estimated sensor delay, by signal.
+        noisy: index in x of each estimated noise rms, by signal.
         size: number of unknowns in x.
         spectra: measured spectra of all experiments.
     """
 
     def __init__(self, problem: IdentificationProblem, free: Sequence[str]) -> None:  # the base class would predict signals
-        """Computes the periodograms, and prepares the indices of the unknowns."""
+        """Computes the periodograms of all experiments, and prepares the indices of the unknowns in x."""
         (road, *_) = [one.random for one in problem.experiments if one.random is not None]
         given = {one.signal: one.noise for each in problem.experiments for one in each.channels}
         unknown = [name for name in problem.signals if given[name] is None]
@@ -58,8 +58,8 @@ class SpectralResiduals(Residuals):
         return {**self.road, **super().values(x)}
 
     def value(self, name: str, unknown: float) -> float:
-        """Returns a parameter's value. For a parameter that may be zero, a negative unknown has the same meaning as a positive
-        one.
+        """Returns a parameter's value. For a parameter that may be zero, only the magnitude of the unknown matters, not its
+        sign.
         """
         return super().value(name, max(abs(unknown), NEAR_ZERO) if name in self.problem.from_zero else unknown)
 
@@ -79,7 +79,7 @@ class SpectralResiduals(Residuals):
         return {name: max(own[name], LEAST_NOISE * self.scale[name]) for name in self.problem.signals}
 
     def first(self) -> Array:
-        """Returns the initial unknowns."""
+        """Returns the initial values of the unknowns."""
         x, given = np.zeros(self.size), {one.signal: one.delay for each in self.problem.experiments for one in each.channels}
         x[: len(self.free)] = [self.coordinate(name, self.problem.first[name]) for name in self.free]
         x[list(self.delayed.values())] = [given[name] for name in self.delayed]
@@ -88,16 +88,18 @@ class SpectralResiduals(Residuals):
 
     @property
     def levels(self) -> list[int]:
-        """Indices in x of the roughness and of the noise."""
+        """Indices in x of the unknowns for roughness and noise."""
         return [i for i, name in enumerate(self.free) if name == ROUGHNESS] + [*self.noisy.values()]
 
     def expected(self, x: Array) -> list[Array]:
-        """Returns the expected periodograms, each of shape (K, q, q)."""
+        """Returns the expected periodograms of all experiments, each of shape (K, q, q)."""
         self._evaluate(x)
         return self._now[0]
 
     def whitened(self, x: Array) -> list[tuple[Array, Array]]:
-        """Returns I - L^-1 P L^-*, shape (K, q, q), and L^-1 dE L^-*, shape (K, unknowns, q, q), of all periodograms."""
+        """Returns I - L^-1 P L^-*, shape (K, q, q), and L^-1 dE L^-*, shape (K, unknowns, q, q), for each group of
+        periodograms.
+        """
         self._evaluate(x)
         return self._now[1]
 
@@ -116,7 +118,9 @@ class SpectralResiduals(Residuals):
             self._now[1].append((np.eye(E.shape[1]) - both[:, 0], both[:, 1:]))
 
     def _expected(self, each: Periodograms, response: RoadResponse, x: Array) -> Array:
-        """Returns the expected periodograms, followed by their derivatives, shape (K, 1 + unknowns, q, q)."""
+        """Returns the expected periodograms, followed by their derivatives with respect to the unknowns, shape (K, 1 +
+        unknowns, q, q).
+        """
         one, noise = each.experiment, self.noise(x)
         omega = 2 * np.pi * each.grid[0]
         F, changes = response(omega)
@@ -140,7 +144,7 @@ class SpectralResiduals(Residuals):
         return each.expected(stack)
 
     def reduced(self, x: Array, noise: Mapping[str, float]) -> tuple[Array, Array]:
-        """Returns the derivatives of all residuals and the residuals, shapes (N, unknowns) and (N,).
+        """Returns the derivatives of all residuals, shape (N, unknowns), and the residuals, shape (N,).
 
         Args:
             noise: argument that is not used, because x contains the noise.
@@ -154,10 +158,11 @@ class SpectralResiduals(Residuals):
         return np.concatenate(R), np.concatenate(c)
 
     def scores(self, x: Array) -> Array:
-        """Returns half the gradients of the deviance at each frequency, shape (K of all periodograms, unknowns).
+        """Returns half the gradient of the deviance at each frequency of all periodograms, shape (number of frequencies,
+        unknowns).
 
-        The sum of the outer products of these rows estimates the covariance of the sum of the rows. This is also true if the
-        spectra are not as expected.
+        The sum of the outer products of the rows estimates the covariance of the sum of the rows. The estimate of the
+        covariance is also valid if the spectra differ from their expected values.
         """
         rows = list[Array]()
         for each, (left, changes) in zip(self.spectra, self.whitened(x), strict=True):
@@ -166,7 +171,7 @@ class SpectralResiduals(Residuals):
         return np.concatenate(rows)
 
     def deviance(self, x: Array, noise: Mapping[str, float]) -> float:
-        """Returns -2 log L, up to a constant; `noise` is not used."""
+        """Returns -2 log likelihood, up to a constant; `noise` is not used."""
         known = self._known(self.values(x))
         total = float(known @ known)
         for each, E, (left, _) in zip(self.spectra, self.expected(x), self.whitened(x), strict=True):
@@ -174,11 +179,11 @@ class SpectralResiduals(Residuals):
         return total
 
     def fits(self, x: Array) -> list[dict[str, float]]:
-        """Returns for each experiment the fit of the spectrum of each signal.
+        """Returns, for each experiment, the fit of the spectrum of each signal.
 
         The fit is 1 minus the relative difference between the measured and the expected rms in bands of frequencies. The
-        difference is a root mean square over all bands. The part of the difference that the scatter of a random road causes is
-        subtracted.
+        relative difference is the root mean square over all bands. The part of the difference that is due to the scatter of a
+        random road is subtracted.
         """
         fits = list[dict[str, float]]()
         for one in self.problem.experiments:

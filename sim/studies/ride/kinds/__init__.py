@@ -1,1 +1,1 @@
-"""The metrics. `standard` contains the metrics of published standards; every other metric has a file of its own."""
+"""The metrics. `standard` contains the metrics of published standards; every other metric has a separate file."""

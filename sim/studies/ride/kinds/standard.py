@@ -1,8 +1,8 @@
-"""Metrics of ride, travel, road holding, actuator effort and angles, with a base class for each group of signals.
+"""Metrics of ride, travel, road holding, actuator effort and body angles, with a base class for each group of signals.
 
 Ride metrics evaluate vertical accelerations of the body, unweighted or with the weighting W_k of ISO 2631-1 (a_w). If a force u
-is held during a step while the travel s changes, the work of the actuator is exactly u[k] (s[k+1] - s[k]). If the actuator has
-a lag, the force also changes during the step, so the mean of u[k] and u[k+1] is used.
+is held during a step while the travel s changes, the actuator's work in this step is exactly u[k] (s[k+1] - s[k]). If the
+actuator has a lag, the force also changes during the step, so the mean of u[k] and u[k+1] is used.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class RootMeanSquare(Metric):
-    """Root mean square of a signal."""
+    """Metric that is the root mean square of a signal."""
 
     what, over_runs, approximate = "rms", ROOT_MEAN_SQUARE, False
 
@@ -50,7 +50,7 @@ class RootMeanSquare(Metric):
 
 
 class Share(Metric):
-    """Share of time in which a condition holds."""
+    """Metric that is the share of time in which a condition holds."""
 
     unit, over_runs, approximate = "-", MEAN, False
 
@@ -59,7 +59,7 @@ class Share(Metric):
 
 
 class Largest(Metric):
-    """Largest magnitude of a signal."""
+    """Metric that is the largest magnitude of a signal."""
 
     what, over_runs = "peak", LARGEST
     accuracy = "peaks are up to 23 % too high"
@@ -76,7 +76,7 @@ class Largest(Metric):
 
 
 class Angle(Metric):
-    """Base class for metrics of an angle of the body under loads."""
+    """Base class for metrics of a body angle under loads."""
 
     unit, of, over_runs, loaded, approximate = "deg", "angles", LARGEST, True, False
     angles: tuple[str, ...] = (PITCH, ROLL)
@@ -90,7 +90,7 @@ class Angle(Metric):
 
 
 class Dive(Angle):
-    """Largest pitch angle with the nose down."""
+    """Largest pitch angle in the nose-down direction."""
 
     what, angles = "dive", (PITCH,)
 
@@ -99,7 +99,7 @@ class Dive(Angle):
 
 
 class Squat(Angle):
-    """Largest pitch angle with the nose up."""
+    """Largest pitch angle in the nose-up direction."""
 
     what, angles = "squat", (PITCH,)
 
@@ -118,7 +118,7 @@ class Roll(Angle):
 
 
 class FinalAngle(Angle):
-    """Angle at the end of the measurement, with its sign."""
+    """Body angle at the end of the measurement, with its sign."""
 
     what, over_runs = "at_end", ROOT_MEAN_SQUARE
 
@@ -129,7 +129,7 @@ class FinalAngle(Angle):
 class Acceleration(Metric):
     """Base class for metrics of a vertical acceleration of the body.
 
-    Controllers are compared at the points with a person, or at all points if there is no person.
+    Controllers are compared at the points that carry a person, or at all points if there is no person.
     """
 
     unit, of, over_runs = "m/s2", "accelerations", LARGEST
@@ -144,7 +144,9 @@ class Acceleration(Metric):
 
 
 class RmsAcceleration(RootMeanSquare, Acceleration):
-    """Root mean square of the acceleration. At a jump, the mean square of the values on both sides is used."""
+    """Root mean square of an acceleration. At a jump of the acceleration, the mean square of the values before and after the
+    jump is used.
+    """
 
     def update(self, meter: Meter, totals: Totals) -> None:
         totals.add(squares(meter.midway[self.source]))
@@ -156,7 +158,7 @@ class RmsAcceleration(RootMeanSquare, Acceleration):
 
 
 class WeightedRms(RootMeanSquare, Acceleration):
-    """Weighted rms (6.1): root mean square of a_w."""
+    """Weighted rms (6.1): root mean square of the weighted acceleration a_w."""
 
     what, headline = "weighted", "ride"
     column = Column("ride", "m/s²", change="ride", praise=("ride", ""), bars="Acceleration of the body")
@@ -176,7 +178,9 @@ class WeightedRms(RootMeanSquare, Acceleration):
 
 
 class VibrationDose(Acceleration):
-    """Vibration dose value, VDV (6.3.2): fourth root of the integral of a_w^4 over time."""
+    """Vibration dose value, VDV (6.3.2): fourth root of the integral of the weighted acceleration's fourth power a_w^4 over
+    time.
+    """
 
     what, unit = "vdv", "m/s1.75"
     expectation, accuracy = "for a VDV: the fourth root of its expected fourth power", "vdv is up to 8 % too high"
@@ -192,7 +196,9 @@ class VibrationDose(Acceleration):
 
 
 class TransientVibration(Acceleration):
-    """Maximum transient vibration value, MTVV (6.3.1): largest running rms of a_w, averaged exponentially over 1 s."""
+    """Maximum transient vibration value, MTVV (6.3.1): largest running rms of the weighted acceleration a_w, averaged
+    exponentially over 1 s.
+    """
 
     what, accuracy = "mtvv", "mtvv is up to 9 % too high"
 
@@ -207,7 +213,9 @@ class TransientVibration(Acceleration):
 
 
 class Crest(Acceleration):
-    """Crest factor (6.2): largest |a_w|, relative to the root mean square of a_w; 0 for a body at rest."""
+    """Crest factor (6.2): largest magnitude of the weighted acceleration a_w, relative to its root mean square; 0 for a body at
+    rest.
+    """
 
     what, unit, accuracy = "crest", "-", "crest is from 7 % too low to 14 % too high"
 
@@ -247,7 +255,7 @@ class PeakTravel(Largest, Travel):
 
 
 class AtStops(Share, Travel):
-    """Share of time in which the suspension is at a bump stop."""
+    """Share of time in which the suspension touches a bump stop."""
 
     what = "at_stops"
     column = Column("at stops", "%", 100.0)
@@ -280,7 +288,9 @@ class TyreLoad(Metric):
 
 
 class DynamicLoad(RootMeanSquare, TyreLoad):
-    """Dynamic load coefficient: rms(F - F_static) / F_static; under loads, the standard deviation of F / F_static."""
+    """Dynamic load coefficient: rms(F - F_static) / F_static for the tyre load F; under loads on the body, the standard
+    deviation of F / F_static.
+    """
 
     what, headline = "dynamic_load", "load"
     column = Column("dynamic load [-]", change="tyre load", praise=("hold", " the road"), bars="Dynamic tyre load")
@@ -300,7 +310,7 @@ class DynamicLoad(RootMeanSquare, TyreLoad):
 
 
 class OffGround(Share, TyreLoad):
-    """Share of time in which the tyre is off the ground."""
+    """Share of time in which the tyre does not touch the ground."""
 
     what = "off_ground"
     column = Column("off the ground", "%", 100.0)
@@ -313,7 +323,7 @@ class OffGround(Share, TyreLoad):
 
 
 class Force(Metric):
-    """Base class for metrics of an actuator force. At a jump, the values on both sides are included."""
+    """Base class for metrics of an actuator force. At a jump of the force, the values before and after the jump are included."""
 
     unit, of, effort = "N", "actuators", True
 
@@ -323,7 +333,7 @@ class Force(Metric):
 
 
 class RmsForce(RootMeanSquare, Force):
-    """Root mean square of the force."""
+    """Root mean square of an actuator force."""
 
     headline = "force"
     column = Column("force, rms", "N")
@@ -377,7 +387,7 @@ class ControlPower(Work):
 
 
 class ControlEnergy(Work):
-    """Energy that the actuator supplies to the suspension, if the actuator cannot recover energy."""
+    """Energy that the actuator supplies to the suspension; energy that flows back to the actuator is not subtracted."""
 
     what, unit = "energy", "J"
 
@@ -393,12 +403,12 @@ class ControlEnergy(Work):
 
 
 def _named_after(signal: str, common: Signal, metric: str) -> str:
-    """Returns the full name of a metric: `metric` replaces the common prefix of the signal's name, or follows a name without
-    this prefix.
+    """Returns the full name of a metric: `metric` replaces the common prefix of the signal's name, or is appended if the prefix
+    is missing.
 
     Args:
         signal: name of the signal to which the metric belongs.
-        common: signal whose name is the common prefix.
+        common: name of the signal whose name is the common prefix.
         metric: part of the full name that describes the metric.
     """
     return f"{metric}{signal.removeprefix(common.name)}" if signal.startswith(common.name) else f"{signal}_{metric}"
