@@ -115,12 +115,12 @@ def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
     low, high = (curve.slope * x + curve.pieces.force(x) for curve in (soft, hard))
     for i in np.flatnonzero((x != 0) & ((high - low) * np.sign(x) <= TOUCHING_DISTANCE * largest))[:1].tolist():
         raise InputError(
-            f"at {x[i]:g} m/s, the force is {low[i]:g} N for c_min and {high[i]:g} N for c_max; but c_max must be the "
+            f"at {x[i]:g} m/s, the force is {low[i]:g} N for c_min and {high[i]:g} N for c_max, but c_max must be the "
             "firmest setting; give c_max a larger force than c_min at every velocity"
         )
     if not soft.slope < hard.slope:
         raise InputError(
-            f"at velocity 0, the slope is {soft.slope:g} N s/m for c_min and {hard.slope:g} N s/m for c_max; but "
+            f"at velocity 0, the slope is {soft.slope:g} N s/m for c_min and {hard.slope:g} N s/m for c_max, but "
             "c_max must be the firmest setting; give c_max the larger slope"
         )
     for end, side in ((0, "below the first points"), (-1, "beyond the last points")):

@@ -357,7 +357,7 @@ def _check_both_sides(x: Array, over: Argument) -> None:
     if not x[0] < 0 < x[-1]:
         free = ", or preload = true for a table that begins at the free length" if over is DEFLECTION else ""
         raise InputError(
-            f"{over.name} goes from {x[0] + 0.0:g} to {x[-1] + 0.0:g} {over.unit}; but both sides of equilibrium are "
+            f"{over.name} goes from {x[0] + 0.0:g} to {x[-1] + 0.0:g} {over.unit}, but both sides of equilibrium are "
             f"needed; give values below 0 for compression and above 0 for extension{free}"
         )
     if min(-x[0], x[-1]) < SMALLEST_REACH:
@@ -456,8 +456,8 @@ def _surface(where: str, entry: Mapping[str, Any]) -> ForceSurface:
         _check_both_sides(v, VELOCITY)
         if not d[0] <= 0 <= d[-1]:
             raise InputError(
-                f"deflection goes from {d[0]:g} to {d[-1]:g} m; but it must contain 0, the equilibrium; extend the range "
-                "of deflection"
+                f"deflection goes from {d[0]:g} to {d[-1]:g} m, but it must contain 0, the equilibrium; extend the "
+                "range of deflection"
             )
         columns = []
         for at, column in zip(d, table.T, strict=True):

@@ -48,7 +48,8 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
         if across is None:
             return None
         raise InputError(
-            f"its first cell is {short_repr(corner)}; it must contain the quantities with units; write in this cell: {FIRST_CELL}"
+            f"its first cell is {short_repr(corner)}, but it must contain the quantities with their units; write in "
+            f"this cell:  {FIRST_CELL}"
         )
     scale = {name: found[0].scale(name) for name, found in of.items()}
     directions = {name: found[0].direction for name, found in of.items()}

@@ -122,10 +122,10 @@ def _compile_model(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
         try:
             _read_model(vehicle).compile()
         except MUJOCO_SAYS:
-            whose = f"MJCF {vehicle.kind.mjcf}: MuJoCo rejects it"
+            whose = f"MJCF {vehicle.kind.mjcf}: MuJoCo rejects this file"
         else:
             whose = f"vehicle type {vehicle.kind.mjcf.with_suffix('.py')}: MuJoCo rejects the MJCF with the changes of write_mjcf"
-        raise InputError(f"{whose} ({_error_text(error)}); correct it") from error
+        raise InputError(f"{whose} ({_error_text(error)}); correct the file") from error
 
 
 def _error_text(error: Exception) -> str:
