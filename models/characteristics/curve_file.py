@@ -182,7 +182,7 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
         raise InputError(
             f"has the columns {list_names(one.name for one in headings)}; give velocity and force, or time, "
             "displacement and force, of one damper setting, with units. These columns were recognised: "
-            f"{', '.join(each)}; these are missing: {list_names(missing)}"
+            f"{', '.join(each)}; still needed: {list_names(missing)}"
         )
     if log:
         known = by_role["deflection"]
@@ -195,9 +195,8 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     undirected = not sheet and not any(one.direction or told & one.words for one in (*known, *forces))
     asked = next((one for one in (*known, *headings) if one not in forces), headings[0])
     question = InputError(
-        f"column {asked.column} is called {short_repr(asked.text)}, which does not say which direction is "
-        f"positive; write compression or extension in the heading of the column ({wanted} in Roadproof is "
-        "positive in extension)"
+        f"column {asked.column} is called {short_repr(asked.text)}, which does not state the positive direction;  "
+        f"write compression or extension in the heading of the column ({wanted} in Roadproof is positive in extension)"
     )
     if undirected and not log and not (over == "compression" and known):
         raise question

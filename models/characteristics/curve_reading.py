@@ -436,8 +436,7 @@ def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
     elif min(float(curve(np.array([s * 1e-12]))[0]) * s for s in (-1, 1)) <= 0 or curve.slope <= 0:
         raise InputError(
             "its slope at rest is not above 0, so the spring cannot carry the body; give forces that rise with "
-            "deflection, both positive in extension, or add this table to a spring with a positive slope, as in "
-            "[22e3, { ... }]"
+            "deflection, both positive in extension, or add this table to a linear spring, as in [22e3, { ... }]"
         )
     for end, side in ((0, "below its first point"), (-1, "beyond its last point")):
         if curve.slopes[end] < 0:

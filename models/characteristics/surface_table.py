@@ -49,7 +49,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
             return None
         raise InputError(
             f"its first cell is {short_repr(corner)}, but it must contain the quantities with their units; write in "
-            f"this cell:  {FIRST_CELL}"
+            f"this cell: {FIRST_CELL}"
         )
     scale = {name: found[0].scale(name) for name, found in of.items()}
     directions = {name: found[0].direction for name, found in of.items()}
@@ -71,8 +71,8 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     for name in NAMES[:2]:
         if not (directions[name] or name in of[name][0].words):
             raise InputError(
-                f"{short_repr(of[name][0].text)} does not say which direction is positive; write {name} in this "
-                "heading (positive in extension), or compression"
+                f"{short_repr(of[name][0].text)} does not state the positive direction;  write {name} in this heading "
+                "(positive in extension), or compression"
             )
     along = -1 if min(directions["velocity"], directions["force"]) < 0 else 1
     v, d, force = along * scale["velocity"] * v, scale["deflection"] * d, along * scale["force"] * force

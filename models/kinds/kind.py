@@ -609,9 +609,9 @@ class VehicleKind(CheckedFields):
                 )
             if squeeze > MOST_SQUEEZE:
                 raise InputError(
-                    f"{tyre} at rest is {squeeze:.3g} m (weight divided by tyre stiffness), but at most {MOST_SQUEEZE} m is "
-                    "allowed. Check that masses are in kg and the stiffness is in N/m; lower the masses or raise the "
-                    "stiffness"
+                    f"{tyre} at rest is {squeeze:.3g} m (weight divided by tyre stiffness), but at most "
+                    f"{MOST_SQUEEZE} m is allowed. Check that masses are in kg and stiffness in N/m; lower the masses "
+                    "or raise the stiffness"
                 )
         return checked
 

@@ -287,9 +287,8 @@ def without_loop(direct: Array) -> Array:
     sizes = np.linalg.svd(loop, compute_uv=False)
     if len(sizes) and sizes[-1] < SINGULAR * max(1.0, sizes[0]):
         raise InputError(
-            "the forces change the measurements instantly, and I - D_c D is singular, so the algebraic loop of "
-            "forces and measurements has no solution; change the gain on the accelerations, or filter the "
-            "accelerations"
+            "the forces change the measurements instantly, and I - D_c D is singular, so this algebraic loop of "
+            "forces has no solution;  change the gain on the accelerations, or filter the accelerations"
         )
     return loop
 

@@ -190,7 +190,7 @@ def _check_takes(parameter: str, one: Adjustable) -> None:
     where += [f"beyond {x[end]:g} m/s, where its end is extended" for end in (0, -1) if on[end] < -ROUNDING * one.steepest_slope]
     if where:
         raise InputError(
-            f"[curves] {parameter} is parallel to a semi-active damper, and at c_min both together would supply "
-            f"energy {where[0]}. Give only a straight line and friction in [curves]; give the measured limits as "
-            "curves c_min and c_max in [actuators]"
+            f"[curves] {parameter} is parallel to a semi-active damper, and at c_min both together supply energy "
+            f"{where[0]}. Give only a line and friction in [curves]; give the measured limits as curves c_min and "
+            "c_max"
         )

@@ -79,8 +79,8 @@ class Profile(MeasuredRoad):
         if slope > STEEPEST:
             raise InputError(
                 f"the road is {x[-1] - x[0]:.4g} m long in steps of {np.median(np.diff(x)):.3g} m, with heights from "
-                f"{z.min():.4g} to {z.max():.4g} m. Its rms slope of {slope:.3g} is steeper than that of any real "
-                "road; check the units, and add :distance_unit=km or :height_unit=mm if they apply"
+                f"{z.min():.4g} to {z.max():.4g} m. Its rms slope of {slope:.3g} is steeper than that of any road; "
+                "check the units, as in :distance_unit=km or :height_unit=mm"
             )
 
     def remark(self, length: float) -> str:

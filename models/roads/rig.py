@@ -193,7 +193,7 @@ def check_posts(posts: Sequence[str]) -> None:
     for post in posts:
         name = post_name(post)
         if not name or "," in name:
-            raise InputError(f"a column is called {short_repr(post)}; rename the column after the wheel that stands on this post")
+            raise InputError(f"a column is called {short_repr(post)}; give this column the name of the wheel on this post")
         if name in seen:
             raise InputError(
                 f"the columns {short_repr(seen[name])} and {short_repr(post)} belong to the same wheel; remove one of "

@@ -303,9 +303,9 @@ def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
         moved = read(wheel.tyre_deflection) - rest
         if not abs(moved + LOWEST_HUB) < 1e-6:
             raise InputError(
-                f"MJCF {kind.mjcf}: raising {wheel.road_body!r} by {LOWEST_HUB} m should change {wheel.tyre_deflection!r} "
-                f"by -{LOWEST_HUB} m, but changes it by {moved:.4g} m. The hub may be too low; place it at least "
-                f"{LOWEST_HUB} m above the road at rest"
+                f"MJCF {kind.mjcf}: raising {wheel.road_body!r} by {LOWEST_HUB} m should change "
+                f"{wheel.tyre_deflection!r} by -{LOWEST_HUB} m, but changes it by {moved:.4g} m; place the hub "
+                f"higher, at least {LOWEST_HUB} m above the road"
             )
 
 

@@ -398,9 +398,8 @@ def _check_heights(vehicle: Vehicle, signal: str) -> None:
         )
     if road is None or all(above[-1] for above, _ in road.sections):
         raise InputError(
-            f"[performance] {signal} is a height above the datum of a flat road, which can rise without bound at a "
-            "bounded road velocity, so the signal has no norm; give the weight 0 to only log the signal, or give "
-            "`road` a filter that is 0 at 0 rad/s"
+            f"[performance] {signal} is a height above the datum of a flat road, which can rise without bound, so the "
+            "signal has no norm; give the weight 0 to only log it, or give `road` a filter that is 0 at 0 rad/s"
         )
 
 

@@ -110,7 +110,7 @@ REFUSED = [
     ("sim.bump --controller I --logs /dev/null", "/dev/null", "folder"),
     ("sim.drive --controller I --seed 1.5", "'1.5' is not an integer"),
     ("sim.drive --controller I --seed -1", "seed = -1"),
-    ("sim.sweep --controller passive --timestep 0.02", "too coarse"),
+    ("sim.sweep --controller passive --timestep 0.02", "is too large for frequencies up to 25 Hz"),
     ("sim.sweep --controller passive --amplitude 0", "amplitude"),
     ("sim.envelope --controller I --vary height:0.02:0.3:1 --vary speed:3:30:20", "2 or more"),
     ("sim.envelope --controller I", "--vary is given 0 times"),

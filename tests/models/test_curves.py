@@ -310,10 +310,10 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
         ("a.csv", "speed [m/s], compression [N], rebound [N]\n1, 190, -10\n2, 200, 300\n", "has 190 N in "
             "compression and -10 N in rebound at 1 m/s, probably because of a"),
         ("a.csv", "velocity [m/s], 2 clicks [N], 6 clicks [N]\n-1, -9, -8\n1, 9, 8\n", "exactly two columns are needed"),
-        ("a.csv", "speed [m/s], force [N], rebound clicks [-]\n-1, -9, 8\n1, 9, 8\n", "does not say which direction is positive"),
+        ("a.csv", "speed [m/s], force [N], rebound clicks [-]\n-1, -9, 8\n1, 9, 8\n", "does not state the positive direction"),
         ("a.csv", 'velocity [m/s], force [N]\n-1, -900\n1, "1,000"\n', "line 3 has '1,000', which may be a thousands "
             "separator; write"),
-        ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "'speed [m/s]', which does not say which direction is positive;"),
+        ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "'speed [m/s]', which does not state the positive direction;"),
         ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "line 3, column 2: 'x' is not a finite number; give a .csv file"),
         ("a.csv", "deflection [m], force [N]\n-1, -10\n1, 10\n", "has the columns deflection, force; give velocity and force"),
         ("a.dpr", DPR.replace("FORCE = 'newton'", ""), "[UNITS] has no FORCE; give one of"),

@@ -41,10 +41,10 @@ def runs(text, *names, road=BUMP, duration=1.0):
 
 def test_what_would_feed_energy_in():
     """A digressive curve beside a damper that may be softer than the curve falls is refused in a line; friction is not."""
-    with refused("at c_min both together would supply energy at -1.5 m/s"):
+    with refused("at c_min both together supply energy at -1.5 m/s"):
         parse_vehicle(with_tables(QUARTER, suspension_damping=DIGRESSIVE) + DAMPER)
     falling = "{ velocity = [-1.0, -0.5, 0.0, 0.5, 1.0], force = [-2000, -1000, 0, 500, 600] }"
-    with pytest.raises(InputError, match=r"at 0\.5 m/s\. Give only a straight line and friction"):
+    with pytest.raises(InputError, match=r"at 0\.5 m/s\. Give only a line and friction"):
         parse_vehicle(with_tables(QUARTER, suspension_damping=falling) + DAMPER)
     late = "{ velocity = [-1.0, -0.5, 0.0, 0.5, 1.0], force = [-1000, -500, 0, 500, 700] }"
     with pytest.raises(InputError, match="beyond 1 m/s, where its end is extended"):

@@ -169,13 +169,13 @@ def test_parts_that_do_not_fit(folder, part, value, said):
     [
         ("</mujoco>", "", r"MuJoCo rejects this file \(.*XML"),
         ('site="sprung"', 'site="nowhere"', r"MuJoCo rejects this file \(.*nowhere"),
-        (SENSOR, "", r"has no sensor 'sprung_velocity', which the equations use"),
+        (SENSOR, "", r"has no sensor 'sprung_velocity', which the equations of motion need"),
         (SENSOR, SENSOR.replace("1", "0"), r"user = \[0.0\] is not a direction"),
         (ROAD, '<body name="road">', r"has no mocap body 'road'"),
         ("</actuator>", '<motor joint="sprung"/></actuator>', r"has 2 actuators, but linear_model has 1 inputs"),
         ("</actuator>", '<motor name="fitted_1" joint="sprung"/></actuator>', r"reserved; rename the actuator 'fitted_1'"),
         ('<joint name="sprung" type="slide" axis="0 0 1"/>', '<freejoint name="sprung"/>', r"MJCF"),
-        ('pos="0 0 .3"', 'pos="0 0 .25"', r"place it at least"),
+        ('pos="0 0 .3"', 'pos="0 0 .25"', r"place the hub higher, at least"),
     ],
 )
 def test_a_model_that_does_not_work(folder, old, new, said):
@@ -191,7 +191,7 @@ def test_actuators_have_their_inputs_names(folder):
     """A motor of another name than the input's would be some other force: it is refused, also where its sensor names it."""
     names = 'name="control_force" joint', 'actuator="control_force"'
     replace(folder / "hopper.xml", *((name, name.replace("control_force", "brake")) for name in names))
-    said = "the model has the actuators 'brake', but linear_model has the inputs 'control_force'; use the same names"
+    said = "actuators 'brake', but linear_model has the inputs 'control_force'; use the same names in the same order"
     assert refusal(folder).endswith(said)
 
 

@@ -171,7 +171,7 @@ GOOD = "time [s],front [mm],rear [mm]\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n"
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (GOOD.replace("rear", "back"), "no column has the name of this wheel, rear, so its post has no heights; rename one of the columns back, front"),
+        (GOOD.replace("rear", "back"), "rear, so its post has no heights; rename one of the columns back, front"),
         (GOOD.replace("\n", ",0\n").replace("mm],0", "mm],spare [mm]"), "column 'spare' does not belong to a wheel"),
         (GOOD.replace("rear", "Front"), "the columns 'front' and 'Front' belong to the same wheel"),
         (GOOD.replace("front [mm]", "front"), "'front', has no unit (allowed: cm, ft, in, km, m, mm); write the heading"),

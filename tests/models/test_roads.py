@@ -460,7 +460,7 @@ def test_a_path_that_is_not_sure(tmp_path):
     noise = np.random.default_rng(1).normal(0, 0.1, (2, len(s)))
     for above, columns, said in (
         ("", (x, y, z), "the columns have no headings. The last two differ by up to 5.6"),
-        ("", (x - x[0], y - y[0], z - z[0]), "write headings above line 1: x [m], y [m], height [m]"),
+        ("", (x - x[0], y - y[0], z - z[0]), "write headings above line 1, such as x [m], y [m], height [m]"),
         ("x,y,z\n", (x + noise[0], y + noise[1], z), "positions are noisy or not in driving order"),
         ("x,y,z\n", (s, 1.5 * (np.arange(len(s)) % 2), z), "positions are noisy or not in driving order"),
         ("lat,lon,z\n", (1e7 * x, y, z), ", beyond the range of degrees; give decimal degrees, up to 360 for longitude and 90"),

@@ -103,7 +103,7 @@ def test_a_heading_decides_the_sign(tmp_path, heading, sign):
 @pytest.mark.parametrize("more", [OF_FILE, '[limits]\nstop = "a.csv"'])
 def test_a_heading_without_a_direction_is_asked_about(tmp_path, heading, more):
     """A spring's or a stop's table that does not tell which direction is positive is refused with that question."""
-    with refused("column 1 is called", "does not say which direction is positive; write compression or extension in the"):
+    with refused("column 1 is called", "does not state the positive direction; write compression or extension in the"):
         read_with(tmp_path, more, a=f"{heading}\n-50,-900\n0,0\n50,1500\n")
 
 
@@ -344,8 +344,8 @@ def test_a_log_in_matlab_and_a_velocity_of_the_other_sign(tmp_path):
 @pytest.mark.parametrize(
     ("above", "columns", "said"),
     [
-        ("t [s],force [N]", "tf", "column 1 ('t [s]') is time, column 2 ('force [N]') is force; these are missing: deflection"),
-        ("force [N],travel [mm],temp [C]", "fxf", "column 3 ('temp [C]') is not read; these are missing: time"),
+        ("t [s],force [N]", "tf", "column 1 ('t [s]') is time, column 2 ('force [N]') is force; still needed: deflection"),
+        ("force [N],travel [mm],temp [C]", "fxf", "column 3 ('temp [C]') is not read; still needed: time"),
         ("t [s],left force [N],right force [N],travel [mm]", "tffx", "needed: only one of force"),
         (
             "t [s],compression force [N],compression [mm]",

@@ -283,7 +283,7 @@ def test_bad_requests(tmp_path, monkeypatch, options, said):
         ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "'skyhook' has no numbers in the vehicle file"),
         (
             '[samples.controllers.I]\n"gain[0][0]" = { uniform = [0, 1] }',
-            "controller 'I' has no numbers in the vehicle file that can be sampled, because its law",
+            "controller 'I' has no numbers in the vehicle file to sample, because its law",
         ),
         ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' has no numbers in the vehicle file"),
         ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' has no numbers in the vehicle file"),

@@ -515,7 +515,7 @@ def test_a_log_whose_times_are_too_coarse_for_its_road(tmp_path):
         identify([path], CAR, log_map)
     log_map.write_text(f'{head}"d1_m [mm]"\n')
     with pytest.raises(
-        InputError, match=r"rad at the road.s usual .* The phase of the road is therefore unknown; export the times with more"
+        InputError, match=r"rad at the road.s usual .* The road.s phase is therefore unknown; export times with more"
     ):
         identify([path], CAR, log_map)
 

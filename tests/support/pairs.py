@@ -189,7 +189,7 @@ REFUSALS = (  # what is no fault of a file, and which command it does not go wit
     "cannot be stabilised with these measurements",
     "semi-active dampers and force actuators cannot be exported together",
     "has noise without sample_period",
-    "has no frequency response, because the motion of the loop does not decay",
+    "has no frequency response, because its motion does not decay",
     "has an entry with a magnitude above 1e+15; use units",
     "has an entry that is not finite",
 )

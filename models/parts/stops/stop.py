@@ -101,8 +101,8 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
     if first < 0 or (stroke is None and not u[first]):
         raise InputError(
             f"its table pushes back with {force[first + 1]:.6g} N at {u[first + 1]:g} m, but has no point where "
-            "contact begins; begin with 0 N at contact. If the stop touches at rest, add it to the spring instead: "
-            f"suspension_stiffness = [22e3, {{ ... }}]"
+            "contact begins; begin with 0 N at contact. A stop that touches at rest belongs to the spring: "
+            "suspension_stiffness = [22e3, { ... }]"
         )
     if stroke is not None and u[first]:
         raise InputError(

@@ -262,7 +262,7 @@ def check(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float,
         growth = radius(loop_of(vehicle, controller, timestep))
         if growth >= 1:
             raise InputError(
-                f"the loop with controller {controller.name!r} has no frequency response, because the motion of the "
-                f"loop does not decay (each timestep multiplies the motion by {growth:.6g}); give a different "
-                "controller, or a smaller timestep"
+                f"the loop with controller {controller.name!r} has no frequency response, because its motion does not "
+                f"decay (each timestep multiplies this motion by {growth:.6g}); give a different controller, or a "
+                "smaller timestep"
             )

@@ -347,10 +347,9 @@ def _slow(road: Array, step: float, late: float) -> list[str]:
     usual = float(np.searchsorted(np.cumsum(power.sum(axis=1)), power.sum() / 2)) / (step * len(velocity))
     if 2 * np.pi * usual * late > MOST_PHASE:
         raise InputError(
-            f"the times of the samples are wrong by up to {rough(1e3 * late)} ms, a phase of "
-            f"{rough(2 * np.pi * usual * late)} rad at the road's usual {rough(usual)} Hz (sampled at "
-            f"{rough(1 / step)} Hz). The phase of the road is therefore unknown; export the times with more digits, "
-            "or sample faster"
+            f"the times are wrong by up to {rough(1e3 * late)} ms, a phase of {rough(2 * np.pi * usual * late)} rad "
+            f"at the road's usual {rough(usual)} Hz (sampled at {rough(1 / step)} Hz). The road's phase is therefore "
+            "unknown; export times with more digits, or sample faster"
         )
     slow = power[: max(1, math.ceil(len(power) / 2))].sum() / max(power.sum(), 1e-300)
     if slow >= COARSE:

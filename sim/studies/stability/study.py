@@ -113,8 +113,7 @@ def check_loop(vehicle: Vehicle, built: Vehicle, controller: Controller, timeste
     if times >= 1:
         raise InputError(
             f"{name} tolerates neither delay nor sampling, because its measurements contain {times:.4g} times its own "
-            "force, which therefore grows from sample to sample; lower the gain on accelerations, or filter the "
-            "accelerations"
+            "force, which grows from sample to sample; lower the gain on accelerations, or filter them"
         )
     growth = radius(loop_of(vehicle, controller, timestep, taylor4))
     if growth >= 1:
