@@ -195,7 +195,7 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     undirected = not sheet and not any(one.direction or told & one.words for one in (*known, *forces))
     asked = next((one for one in (*known, *headings) if one not in forces), headings[0])
     question = InputError(
-        f"column {asked.column} is called {short_repr(asked.text)}, which does not state the positive direction;  "
+        f"column {asked.column} is called {short_repr(asked.text)}, which does not state the positive direction; "
         f"write compression or extension in the heading of the column ({wanted} in Roadproof is positive in extension)"
     )
     if undirected and not log and not (over == "compression" and known):

@@ -71,7 +71,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     for name in NAMES[:2]:
         if not (directions[name] or name in of[name][0].words):
             raise InputError(
-                f"{short_repr(of[name][0].text)} does not state the positive direction;  write {name} in this heading "
+                f"{short_repr(of[name][0].text)} does not state the positive direction; write {name} in this heading "
                 "(positive in extension), or compression"
             )
     along = -1 if min(directions["velocity"], directions["force"]) < 0 else 1

@@ -394,7 +394,7 @@ def check_stands(body: RigidBody) -> None:
         if holding <= turning:
             raise InputError(
                 f"the body falls over when it {turns}: its weight has a moment of {turning:.4g} N m/rad, but springs, "
-                f"bars and tyres hold only {holding:.4g} N m/rad;  give stiffer springs, bars or tyres, or higher "
+                f"bars and tyres hold only {holding:.4g} N m/rad; give stiffer springs, bars or tyres, or higher "
                 f"{centres}"
             )
 

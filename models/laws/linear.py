@@ -288,7 +288,7 @@ def without_loop(direct: Array) -> Array:
     if len(sizes) and sizes[-1] < SINGULAR * max(1.0, sizes[0]):
         raise InputError(
             "the forces change the measurements instantly, and I - D_c D is singular, so this algebraic loop of "
-            "forces has no solution;  change the gain on the accelerations, or filter the accelerations"
+            "forces has no solution; change the gain on the accelerations, or filter the accelerations"
         )
     return loop
 

@@ -365,9 +365,8 @@ def _check_tracks(distance: Array, heights: Array, first: int) -> None:
     difference = heights[:, 0] - heights[:, 1]
     if (largest := np.abs(difference).max()) > APART or np.ptp(difference) > max(SLIGHT, DIVERGING * np.ptp(distance)):
         raise InputError(
-            f"the columns have no headings. The last two differ by up to {largest:.6g} m, too much for two tracks; "
-            f"write headings above line {first}, such as x [m], y [m], height [m] or distance [m], left [mm], right "
-            "[mm]"
+            f"the columns have no headings. The last two differ by up to {largest:.6g} m, too much for tracks; write "
+            f"headings above line {first}, such as x [m], y [m], height [m] or distance [m], left [mm], right [mm]"
         )
 
 

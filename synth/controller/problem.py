@@ -399,7 +399,7 @@ def _check_heights(vehicle: Vehicle, signal: str) -> None:
     if road is None or all(above[-1] for above, _ in road.sections):
         raise InputError(
             f"[performance] {signal} is a height above the datum of a flat road, which can rise without bound, so the "
-            "signal has no norm; give the weight 0 to only log it, or give `road` a filter that is 0 at 0 rad/s"
+            "signal has no norm; give weight 0 to only log it, or give `road` a filter that is 0 at 0 rad/s"
         )
 
 

@@ -64,7 +64,7 @@ parts of a suspension                                          2270   1962      
 loads, links, tyre damping                                      810   1440     57
     models/roads/loads/* models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
-measured roads, rigs, OpenCRG, IRI                             1484    990      0
+measured roads, rigs, OpenCRG, IRI                             1483    990      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
 analytic and random roads                                      1767    938    171
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py

@@ -284,7 +284,7 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
                 )  # fmt: skip
     if not experiments:
         raise InputError(
-            "a wheel is in the air nearly all the time, so the log contains little about the vehicle;  drive more "
+            "a wheel is in the air nearly all the time, so the log contains little about the vehicle; drive more "
             "slowly, or over a lower road"
         )
     return replace(problem, experiments=tuple(experiments)), remarks
