@@ -53,11 +53,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     path: Path | None = options.file
     if path is None and not options.schema:
-        raise InputError("FILE is missing; give the file to write, as in roadproof new my_car.toml")
+        raise InputError("FILE is missing; give the name of the file to write, as in roadproof new my_car.toml")
     written, schema = dict[str, str](), (path.parent if path else Path()) / f"{options.type}.schema.json"
     if path is not None:
         if path.exists():
-            raise InputError(f"{path} already exists; give another name, or remove this file")
+            raise InputError(f"{path} already exists; give a different name, or remove this file")
         text = read_text(TEMPLATES / f"{options.type}.toml", "template", f"give one of {', '.join(TYPES)}")
         with whole_file(path, "vehicle file") as beside:
             beside.write_text(text, encoding="utf-8", newline="\n")

@@ -61,7 +61,9 @@ def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
     designed = [entry.name for entry in linear if goes("zero_l", entry.parts)]
     everything = designed if options.zero_l else vehicle.linear_names
     if options.zero_l and not designed:
-        raise InputError(f"--zero-l is for designs in two steps, but {vehicle.source} contains no such design; omit --zero-l")
+        raise InputError(
+            f"--zero-l applies only to designs in two steps, but {vehicle.source} contains no such design; omit --zero-l"
+        )
     names = (
         everything
         if options.controller == [ALL]
@@ -73,5 +75,5 @@ def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
         elif options.zero_l:
             raise InputError(f"--zero-l: {name!r} is not designed in two steps; give one of {list_names(designed)}")
     if options.refine and list(names) == ["passive"]:
-        raise InputError("--refine: passive has no gain to refine; give another controller, or omit --refine")
+        raise InputError("--refine: the passive vehicle has no gain to refine; give a controller, or omit --refine")
     return list(names)

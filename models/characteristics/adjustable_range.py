@@ -119,20 +119,20 @@ def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
     low, high = (curve.slope * x + curve.pieces.force(x) for curve in (soft, hard))
     for i in np.flatnonzero((x != 0) & ((high - low) * np.sign(x) <= TOUCHING_DISTANCE * largest))[:1].tolist():
         raise InputError(
-            f"at {x[i]:g} m/s, the force is {low[i]:g} N for c_min and {high[i]:g} N for c_max; c_max must be the firmest "
-            "setting, with a larger force than c_min at every velocity"
+            f"at {x[i]:g} m/s, the force is {low[i]:g} N for c_min and {high[i]:g} N for c_max, but c_max must be the "
+            "firmest setting; give c_max a larger force than c_min at every velocity"
         )
     if not soft.slope < hard.slope:
         raise InputError(
-            f"at velocity 0, the slope is {soft.slope:g} N s/m for c_min and {hard.slope:g} N s/m for c_max; c_max must be "
-            "the firmest setting, with the larger slope"
+            f"at velocity 0, the slope is {soft.slope:g} N s/m for c_min and {hard.slope:g} N s/m for c_max, but "
+            "c_max must be the firmest setting; give c_max the larger slope"
         )
     for end, side in ((0, "below the first points"), (-1, "beyond the last points")):
         if hard.slopes[end] < soft.slopes[end] - TOUCHING_DISTANCE * abs(soft.slopes[end]):
             raise InputError(
-                f"{side}, c_min and c_max continue with slopes of {soft.slopes[end]:g} and {hard.slopes[end]:g} N s/m, so "
-                "they cross; "
-                "change the outermost points so that the curves do not cross"
+                f"{side}, c_min and c_max continue beyond their points with slopes of {soft.slopes[end]:g} and "
+                f"{hard.slopes[end]:g} N s/m, so the two curves cross; change the outermost points so that the curves "
+                "do not cross"
             )
     return pair
 
@@ -206,11 +206,13 @@ class ActuatorSection(Section):
                 )
             return
         if absent := [name for name in CURVE_KEYS if name not in given]:
-            raise InputError(f"{absent[0]} is missing; give c_min and c_max of the semi-active damper in N s/m")
+            raise InputError(f"{absent[0]} is missing; give both c_min and c_max of the semi-active damper, in N s/m")
         tables = [name for name in CURVE_KEYS if isinstance(getattr(self, name), ForceCurve)]
         if len(tables) == 1:
             (other,) = {*CURVE_KEYS} - {*tables}
-            raise InputError(f"{tables[0]} is a curve, but {other} is a number; give two curves, or two numbers in N s/m")
+            raise InputError(
+                f"{tables[0]} is a curve, but {other} is a number; give c_min and c_max as two curves, or as two numbers in N s/m"
+            )
         if not tables and not self.c_min < self.c_max:
             raise InputError(
                 f"c_min = {self.c_min:g} N s/m is not below c_max = {self.c_max:g} N s/m; give a smaller c_min, or a larger c_max"
@@ -252,7 +254,7 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
         raise InputError(f"[actuators.{unknown[0]}] is not a suspension of this vehicle; {known}")
     common = {name: value for name, value in section.items() if name not in single}
     if not corners and section:
-        raise InputError("[actuators]: no suspension of this vehicle type has an actuator; omit the section")
+        raise InputError("[actuators]: no suspension of this vehicle type has an actuator; omit the section [actuators]")
     dampers = {}
     for force, ending in corners.items():
         own = single.get(ending.removeprefix("_")) if ending else None
@@ -276,6 +278,6 @@ def check_unlimited(limited: Sequence[str], what: str) -> None:
     """
     if limited:
         raise InputError(
-            f"[limits] {limited[0]} is for force actuators, but {what}; omit {limited[0]}, or give "
-            'actuators = "force" in the sections of controllers that use force actuators'
+            f"[limits] {limited[0]} applies only to force actuators, but {what}; omit {limited[0]}, or give actuators "
+            '= "force" in the sections of controllers that use force actuators'
         )

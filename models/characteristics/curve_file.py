@@ -135,7 +135,10 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
     if not isinstance(name, str) or not name:
         raise InputError(f"file = {short_repr(name)} is not the name of a file; {GIVE}")
     if others := [key for key in (*ARGUMENTS, "compression", "force", "note") if key in entry]:
-        raise InputError(f"has both a file and {list_names(others)}; the file contains the whole table, so omit one of them")
+        raise InputError(
+            f"has both a file and {list_names(others)}, but the file contains the whole table; omit the file, or "
+            f"{list_names(others)}"
+        )
     file, over = path_from(name, folder), _argument(path)
     with reading(file, "curve", GIVE):
         content = file.read_bytes()
@@ -144,7 +147,7 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
         table = _of_ratio(text) if over == RATIO else surface_columns(text, give) or _of_columns(text, over, give)
         if over and over not in table:
             other = "deflection" if over == RATIO else "force"
-            raise InputError(f"has the columns {list_names(table)}; it needs the columns {over} and {other}")
+            raise InputError(f"has the columns {list_names(table)}; the columns {over} and {other} are needed")
     sources.append((origin(name, content), file))
     return table
 
@@ -178,29 +181,32 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
         each = [f"{columns_in_words([one])} is {roles.get(one.column, 'not read')}" for one in headings]
         missing = [role for role in LOG if not by_role[role]] or [f"only one of {role}" for role in LOG if len(by_role[role]) > 1]
         raise InputError(
-            f"has the columns {list_names(one.name for one in headings)}; give velocity and force, or time, displacement and "
-            f"force, of one setting, with units. Read as: {', '.join(each)}; still needed: {list_names(missing)}"
+            f"has the columns {list_names(one.name for one in headings)}; give velocity and force, or time, "
+            "displacement and force, of one damper setting, with units. These columns were recognised: "
+            f"{', '.join(each)}; still needed: {list_names(missing)}"
         )
     if log:
         known = by_role["deflection"]
     if not known and any(by_role[one] for one in ARGUMENTS):
         raise InputError(
-            f"has the columns {list_names(one.name for one in headings)}; it needs the columns {over or wanted} and force"
+            f"has the columns {list_names(one.name for one in headings)}; the columns {over or wanted} and force are needed"
         )
     sheet = sorted(one.direction for one in forces) == [-1, 1]
     told = {"deflection", "compression"} if over == "compression" else SIGN_HEADINGS[wanted]
     undirected = not sheet and not any(one.direction or told & one.words for one in (*known, *forces))
     asked = next((one for one in (*known, *headings) if one not in forces), headings[0])
     question = InputError(
-        f"column {asked.column} is called {short_repr(asked.text)}, which does not tell the positive direction; write "
-        f"compression or extension in its heading ({wanted} is positive in extension)"
+        f"column {asked.column} is called {short_repr(asked.text)}, which does not state the positive direction; "
+        f"write compression or extension in the heading of the column ({wanted} in Roadproof is positive in extension)"
     )
     if undirected and not log and not (over == "compression" and known):
         raise question
     known = [one for one in known if one.direction or told & one.words] or known
     if len(known) != 1 or len(forces) != 1 + sheet:
         columns = list_names(one.name for one in headings)
-        raise InputError(f"has the columns {columns}; it needs the two columns {over or wanted} and force, of one setting")
+        raise InputError(
+            f"has the columns {columns}, but exactly two columns are needed; give {over or wanted} and force of one setting"
+        )
     used = [known[0], *sorted(forces, key=lambda one: one.direction)]
     numbers = table.numbers([one.column - 1 for one in used])[0]
     x, *values = (numbers * [used[0].scale("deflection" if log else wanted), *(one.scale("force") for one in used[1:])]).T
@@ -255,7 +261,9 @@ def _dissipation_signs(velocity: Array, force: Array, motion: Heading, load: Hea
         return (1.0, 1.0), []
     found = f"the force falls as velocity rises (mean power {rough(power)} W), but a damper dissipates energy"
     if motion.direction and load.direction:
-        raise InputError(f"{found}; correct the direction in the heading of column {motion.column} or {load.column}")
+        raise InputError(
+            f"{found}; correct the direction that is stated in the heading of column {motion.column} or {load.column}"
+        )
     what, signs = ("velocity", (-1.0, 1.0)) if load.direction else ("force", (1.0, -1.0))
     return signs, [f"{found}, so the sign of the {what} is turned"]
 
@@ -268,8 +276,8 @@ def _of_ratio(text: str) -> dict[str, Any]:
     travels = [one for one in headings if one.direction or "deflection" in one.words]
     if len(ratios) != 1 or len(travels) != 1:
         raise InputError(
-            f"has the columns {list_names(one.name for one in headings)}; give one column called ratio, and one called "
-            "deflection (positive in extension) or compression"
+            f"has the columns {list_names(one.name for one in headings)}; it must have one column called ratio, and "
+            "one called deflection (positive in extension) or compression"
         )
     numbers = table.numbers([one.column - 1 for one in (*travels, *ratios)])[0]
     x = (travels[0].direction or 1) * travels[0].scale("deflection") * numbers[:, 0]
@@ -291,7 +299,9 @@ def _role(heading: Heading) -> str:
 def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[float], list[float]]:
     """Returns the velocities and forces in the data sheet of a damper dynamometer."""
     if (speed < 0).any():
-        raise InputError("has a speed below 0; give speeds of 0 or more, with the forces in compression and in rebound")
+        raise InputError(
+            "has a speed below 0; give speeds of 0 or more, and for each speed the forces in compression and in rebound"
+        )
     order = np.argsort(speed, kind="stable")
     v, *forces = (one[order] for one in (speed, compression, rebound))
     # Some data sheets give compression forces as negative numbers, others as positive numbers
@@ -300,8 +310,8 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
     for i in np.flatnonzero(gas)[:1]:
         a, b = (one[i] for one in forces)
         raise InputError(
-            f"has {a:g} N in compression and {b:g} N in rebound at {v[i]:g} m/s, probably because of a gas; subtract the gas "
-            "force, which is part of the spring's preload"
+            f"has {a:g} N in compression and {b:g} N in rebound at {v[i]:g} m/s, probably because of a gas charge; "
+            "subtract the gas force from both columns, because it belongs to the preload of the spring"
         )
     v, pushing, pulling = (one[v > 0] for one in (v, pushing, pulling))
     return [*(-v[::-1]).tolist(), 0.0, *v.tolist()], [*(-pushing[::-1]).tolist(), 0.0, *pulling.tolist()]
@@ -315,7 +325,9 @@ def _dpr_columns(text: str) -> str:
     blocks = {block[1].upper(): block[2] for block in BLOCK.finditer(text)}
     for name in ("UNITS", "CURVE"):
         if name not in blocks:
-            raise InputError(f"has no block [{name}]; a damper property file has [UNITS] and [CURVE]")
+            raise InputError(
+                f"has no block [{name}], but a damper property file must have [UNITS] and [CURVE]; give the whole file"
+            )
     units = {key.upper(): unit.strip() for key, unit in re.findall(r"""(\w+)\s*=\s*['"]?([^'"\n]+)""", blocks["UNITS"])}
     if below := re.search(r"\{(.*?)\}\s*(.*)", blocks["UNITS"]):  # the units may also be written as a table
         units |= dict(zip(below[1].upper().split(), below[2].replace("'", " ").split(), strict=False))
@@ -325,7 +337,9 @@ def _dpr_columns(text: str) -> str:
             raise InputError(f"[UNITS] {found}; give one of {list_names(QUANTITIES[name].units)}")
     heads = HEAD.findall(blocks["CURVE"])
     if len(heads) != 1:
-        raise InputError(f"has {len(heads)} tables in [CURVE]; give one, under {{ vel force }}")
+        raise InputError(
+            f"has {len(heads)} tables in [CURVE]; only one table is allowed; give one table with the heading {{ vel force }}"
+        )
     names = re.sub(r"<[^>]*>", "", heads[0]).lower().split()
     if names not in (["vel", "force"], ["velocity", "force"]):
         raise InputError(

@@ -40,18 +40,20 @@ def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, 
     steps = np.diff(time)
     for i in np.flatnonzero((steps <= 0) | (steps > GAP * steps.mean()))[:1]:
         raise InputError(
-            f"time goes from {time[i]:.9g} to {time[i + 1]:.9g} s at row {i + 2}; give a log with an even sample rate"
+            f"time goes from {time[i]:.9g} to {time[i + 1]:.9g} s at row {i + 2}; give a log with a constant sample rate"
         )
     rate, even = 1 / float(steps.mean()), np.linspace(time[0], time[-1], len(time))
     x, force = (np.interp(even, time, values) for values in (displacement, force))
     tops, bottoms = (find_peaks(side * x, prominence=STROKE * np.ptp(x))[0] for side in (1.0, -1.0))
     if len(ends := max(tops, bottoms, key=len)) < 2:
         raise InputError(
-            "the displacement has fewer than two turning points on one side, so it contains no full cycle; give a longer log"
+            "the displacement has fewer than two turning points on one side, so the log contains no full cycle; give a longer log"
         )
     period = float(np.diff(ends).mean())
     if period < SAMPLES:
-        raise InputError(f"a cycle has {period:.3g} samples, but at least {SAMPLES:g} are needed; log at a higher rate")
+        raise InputError(
+            f"a cycle has {period:.3g} samples, but at least {SAMPLES:g} are needed; record the log at a higher sample rate"
+        )
     last = min(len(x) - 1, round(max(*tops, *bottoms) + period / 2))
     whole = int(last / period + NEARLY)
     cycles = min(CYCLES, whole)
@@ -76,5 +78,8 @@ def dissipation(velocity: Array, force: Array) -> float:
     """
     power = float(np.mean((velocity - velocity.mean()) * (force - force.mean())))
     if not abs(power) > LEAST_CORRELATION * float(velocity.std() * force.std()):
-        raise InputError("the force neither rises nor falls with velocity over the log; check which columns are force and motion")
+        raise InputError(
+            "the force neither rises nor falls with velocity in this log; check that the columns of force and motion are "
+            "not exchanged"
+        )
     return power

@@ -89,8 +89,8 @@ class Argument(ListedValues):
             raise InputError(f"{HERE} goes from {x[i]:g} to {x[i + 1]:g} {self.unit} at point {i + 2}; {do}")
         if max(-x[0], x[-1]) > self.largest:
             raise InputError(
-                f"{HERE} goes from {x[0]:g} to {x[-1]:g}, but at most {self.largest:g} {self.unit} is allowed; give values "
-                f"in {self.unit}, not in {self.small}"
+                f"{HERE} goes from {x[0]:g} to {x[-1]:g}, but at most {self.largest:g} {self.unit} is allowed; check "
+                f"that the values are in {self.unit}, not in {self.small}"
             )
         return tuple(x.tolist())
 
@@ -120,7 +120,10 @@ class TableSection(Section):
     def __post_init__(self) -> None:
         given = [name for name in (*self.arguments, self.of) if getattr(self, name) is not None]
         if self.file is not None:
-            raise InputError("names a file, but a vehicle that is read from text cannot refer to files; give the table instead")
+            raise InputError(
+                "names a file, but a vehicle that is read from text cannot refer to files; give the table itself instead "
+                "of the file"
+            )
         if len(given) > 2:
             raise InputError(f"has {list_names(given[:-1])}; omit one of them")
         for key in (given[0] if given and given != [self.of] else self.arguments[0], self.of):
@@ -129,7 +132,10 @@ class TableSection(Section):
                 raise InputError(f"{HERE}.{key} is missing; give {what}")
         x, values = (getattr(self, name) for name in given)
         if len(x) != len(values):
-            raise InputError(f"has {len(x)} values of {given[0]} and {len(values)} of {self.of}; give equal numbers of both")
+            raise InputError(
+                f"has {len(x)} values of {given[0]} and {len(values)} of {self.of}; give one value of {self.of} for each "
+                f"value of {given[0]}"
+            )
 
     @property
     def points(self) -> tuple[Array, Array]:
@@ -277,7 +283,7 @@ def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: C
     """Returns one characteristic whose force is the sum of the forces from all slopes and tables."""
     count = len(tables) + len(slopes)
     if not tables:
-        raise InputError(f"has {count} numbers but no table, so it is not a curve; give the sum of the numbers in [parameters]")
+        raise InputError(f"has {count} numbers but no table, so it is not a curve; move the sum of the numbers to [parameters]")
     parts: list[tuple[Array, Array, float]] = []
     for one in tables:
         preload = one.preload
@@ -285,7 +291,7 @@ def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: C
             whole = load()
             if whole is None or sum(each.preload is True for each in tables) > 1:
                 raise InputError(
-                    "the static load of this spring is unknown; give preload in N, or preload = true for at most one table"
+                    "the static load of this spring is unknown; give preload in N, or give preload = true in only one table"
                 )
             preload = whole + sum(at_rest for _, _, at_rest in parts)
         x, force = one.points
@@ -356,12 +362,13 @@ def _check_both_sides(x: Array, over: Argument) -> None:
     if not x[0] < 0 < x[-1]:
         free = ", or preload = true for a table that begins at the free length" if over is DEFLECTION else ""
         raise InputError(
-            f"{over.name} goes from {x[0] + 0.0:g} to {x[-1] + 0.0:g} {over.unit}; give values on both sides of equilibrium: "
-            f"below 0 in compression, above 0 in extension{free}"
+            f"{over.name} goes from {x[0] + 0.0:g} to {x[-1] + 0.0:g} {over.unit}, but both sides of equilibrium are "
+            f"needed; give values below 0 for compression and above 0 for extension{free}"
         )
     if min(-x[0], x[-1]) < SMALLEST_REACH:
         raise InputError(
-            f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give at least {SMALLEST_REACH:g} on both sides of 0"
+            f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}, but it must reach at least {SMALLEST_REACH:g} "
+            "on both sides of 0; extend the table"
         )
 
 
@@ -376,13 +383,14 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, fl
     at_rest, largest = float(np.interp(0.0, x, force)), float(np.abs(force).max())
     if over is VELOCITY and abs(at_rest) > ROUNDING * largest:
         raise InputError(
-            f"its force at rest is {at_rest:g} N, but a damper has no force at rest; subtract the gas force, which is part of "
-            "the spring's preload"
+            f"its force at rest is {at_rest:g} N, but a damper has no force at rest; subtract the gas force from the "
+            "table, because it belongs to the preload of the spring"
         )
     force = force - at_rest
     if not np.abs(force).max() >= SMALLEST_FORCE:
         raise InputError(
-            f"the force differs by at most {np.abs(force).max():g} N from the force at rest; give at least {SMALLEST_FORCE:g} N"
+            f"the force differs by at most {np.abs(force).max():g} N from the force at rest, which is too little; "
+            f"give forces that differ by at least {SMALLEST_FORCE:g} N"
         )
     if 0.0 not in x:
         i = int(np.searchsorted(x, 0.0))
@@ -414,9 +422,9 @@ def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Ar
                 break
         else:
             raise InputError(
-                f"needs {len(ends) - 1} straight lines for an error within {100 * error:g} % of its largest force, but at "
-                f"most {MOST_LINES + AT_REST} are allowed; smooth the table, or give a larger fit_error, up to "
-                f"{LARGEST_ERROR:g}"
+                f"needs {len(ends) - 1} straight lines to keep the error within {100 * error:g} % of its largest "
+                f"force, but at most {MOST_LINES + AT_REST} lines are allowed; smooth the table, or give a larger "
+                f"fit_error, up to {LARGEST_ERROR:g}"
             )
         words += f" replaced by {len(ends) - 1} straight lines, with errors within {100 * error:g} % of {largest:.4g} N"
         return ends, forces, words
@@ -429,19 +437,19 @@ def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
         for x, force in zip(curve.x.tolist(), curve.force.tolist(), strict=True):
             if x * force < 0:
                 raise InputError(
-                    f"its force at {x:g} m/s is {force:g} N, which would supply energy, but a damper dissipates energy; give "
-                    "forces with the sign of the velocity, both positive in extension"
+                    f"its force at {x:g} m/s is {force:g} N, which would supply energy, but a damper must dissipate "
+                    "energy; give each force the sign of its velocity, both positive in extension"
                 )
     elif min(float(curve(np.array([s * 1e-12]))[0]) * s for s in (-1, 1)) <= 0 or curve.slope <= 0:
         raise InputError(
-            "its slope at rest is not above 0, so it cannot carry the body; give forces that rise with deflection, both "
-            "positive in extension, or add the spring to a stop, as in [22e3, { ... }]"
+            "its slope at rest is not above 0, so the spring cannot carry the body; give forces that rise with "
+            "deflection, both positive in extension, or add this table to a linear spring, as in [22e3, { ... }]"
         )
     for end, side in ((0, "below its first point"), (-1, "beyond its last point")):
         if curve.slopes[end] < 0:
             raise InputError(
-                f"its force falls {side} by {-curve.slopes[end]:g} N per {over.unit}, because the slope of the outermost "
-                "segment continues; make this slope zero or positive"
+                f"its force continues to fall {side}, by {-curve.slopes[end]:g} N per {over.unit}, with the slope of "
+                "the outermost segment; make the slope of this segment zero or positive"
             )
     return curve
 
@@ -453,7 +461,10 @@ def _surface(where: str, entry: Mapping[str, Any]) -> ForceSurface:
     with error_in(f"{where}:"):
         _check_both_sides(v, VELOCITY)
         if not d[0] <= 0 <= d[-1]:
-            raise InputError(f"deflection goes from {d[0]:g} to {d[-1]:g} m; give a range that contains 0, the equilibrium")
+            raise InputError(
+                f"deflection goes from {d[0]:g} to {d[-1]:g} m, but it must contain 0, the equilibrium; extend the "
+                "range of deflection"
+            )
         columns = []
         for at, column in zip(d, table.T, strict=True):
             with error_in(f"at deflection {at:g} m:"):

@@ -75,7 +75,7 @@ class RatioTable:
         """
         if not self.x[0] < rest < self.x[-1]:
             raise InputError(
-                f"the equilibrium moves beyond the table, which goes from {self.x[0]:g} to {self.x[-1]:g} m; extend the table"
+                f"the static deflection is outside the table, which goes from {self.x[0]:g} to {self.x[-1]:g} m; extend the table"
             )
         return replace(self, x=self.x - rest)
 
@@ -173,8 +173,8 @@ def ratio_table(where: str, entry: Any, check: Callable[[float], object]) -> Rat
     with error_in(f"{where}:"):
         if not x[0] < 0 < x[-1]:
             raise InputError(
-                f"deflection goes from {x[0]:g} to {x[-1]:g} m; give values on both sides of equilibrium: below "
-                "0 in compression, above 0 in extension"
+                f"deflection goes from {x[0]:g} to {x[-1]:g} m, but both sides of equilibrium are needed; give values "
+                "below 0 for compression and above 0 for extension"
             )
         for one in ratio.tolist():
             check(one)

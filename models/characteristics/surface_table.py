@@ -47,7 +47,10 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     if len(headings) != len(NAMES) or any(len(found) != 1 for found in of.values()):
         if across is None:
             return None
-        raise InputError(f"its first cell is {short_repr(corner)}; write quantities with units in this cell: {FIRST_CELL}")
+        raise InputError(
+            f"its first cell is {short_repr(corner)}, but it must contain the quantities with their units; write in "
+            f"this cell: {FIRST_CELL}"
+        )
     scale = {name: found[0].scale(name) for name, found in of.items()}
     directions = {name: found[0].direction for name, found in of.items()}
     numbers = table.numbers()[0]
@@ -59,14 +62,17 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
         force = np.full((len(v), len(d)), np.nan)
         force[i, j] = columns["force"]
         if len(numbers) != force.size or np.isnan(force).any():
-            raise InputError(f"has {len(numbers)} rows for {len(v)} velocities and {len(d)} deflections; give a row per pair")
+            raise InputError(
+                f"has {len(numbers)} rows for {len(v)} velocities and {len(d)} deflections; give one row for each pair of "
+                "velocity and deflection"
+            )
     else:
         v, d, force = numbers[:, 0], across, numbers[:, 1:]
     for name in NAMES[:2]:
         if not (directions[name] or name in of[name][0].words):
             raise InputError(
-                f"{short_repr(of[name][0].text)} does not tell which direction is positive; write {name} (positive in "
-                "extension) or compression"
+                f"{short_repr(of[name][0].text)} does not state the positive direction; write {name} in this heading "
+                "(positive in extension), or compression"
             )
     along = -1 if min(directions["velocity"], directions["force"]) < 0 else 1
     v, d, force = along * scale["velocity"] * v, scale["deflection"] * d, along * scale["force"] * force

@@ -60,7 +60,9 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
     if given.ndim != 2:
         raise InputError(f"{name} has shape {given.shape}; expected a matrix{expected and f' of shape {expected}'}")
     if max(given.shape) > MOST:  # the size is checked before the matrix is copied
-        raise InputError(f"{name} has shape {given.shape}; no more than {MOST} rows or columns are allowed: reduce the model")
+        raise InputError(
+            f"{name} has shape {given.shape}; at most {MOST} rows and columns are allowed; reduce the order of the model"
+        )
     if np.iscomplexobj(given):
         if np.any(np.imag(given)):
             raise InputError(f"{name} has complex entries; give real numbers")
@@ -73,7 +75,7 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
     if not size < np.inf:
         raise InputError(f"{name} has an entry that is not finite; give finite numbers")
     if size > largest:
-        raise InputError(f"{name} has an entry beyond {largest:g} in magnitude; use other units")
+        raise InputError(f"{name} has an entry with a magnitude above {largest:g}; use units in which the entries are smaller")
     return matrix, size
 
 

@@ -250,7 +250,9 @@ def chosen_controllers(names: Sequence[str], given: Sequence[str] | None, usual:
     if not given and not usual:
         raise InputError(f"no controller is given; give --controller with one of: {ALL}, {', '.join(names)}")
     if given and ALL in given and len(given) > 1:
-        raise InputError(f"--controller {ALL} already includes every controller; omit it, or all other --controller options")
+        raise InputError(
+            f"--controller {ALL} already selects every controller; omit --controller {ALL}, or all other --controller options"
+        )
     if given == [ALL]:
         return list(names)
     return list(given or usual)

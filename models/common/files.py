@@ -187,9 +187,9 @@ def _target(path: Path, what: str, instead: str) -> Path:
     if target.is_dir():
         raise InputError(f"{what} {path}: this is a folder; give the name of a file")
     if not target.parent.is_dir():
-        raise InputError(f"{what} {path}: there is no folder {target.parent}; create it, or {instead}")
+        raise InputError(f"{what} {path}: there is no folder {target.parent}; create this folder, or {instead}")
     if target.exists() and not os.access(target, os.W_OK):
-        raise InputError(f"{what} {path}: this file is read-only; make it writable, or {instead}")
+        raise InputError(f"{what} {path}: this file is read-only; make the file writable, or {instead}")
     return target
 
 
@@ -244,7 +244,7 @@ def reading(path: Path, purpose: str, give: str = "give another file") -> Iterat
         raise InputError(f"{purpose} {path}: the file cannot be read ({error.strerror or error}); {give}") from error
     except UnicodeDecodeError as error:
         reason = f"this is not a text file in UTF-8 ({error.reason} at byte {error.start})"
-        raise InputError(f"{purpose} {path}: {reason}; save it as UTF-8, or {give}") from error
+        raise InputError(f"{purpose} {path}: {reason}; save the file as UTF-8, or {give}") from error
     except Exception as error:
         raise InputError(f"{purpose} {path}: {str(error) or type(error).__name__}; {give}") from error
 
@@ -269,7 +269,10 @@ def read_text(path: Path, purpose: str, give: str = "give another file") -> str:
     with reading(path, purpose, give):
         text = content.decode("utf-8-sig")
         if "\0" in text:
-            raise InputError(f"this is not a text file in UTF-8 (a NUL character, as in UTF-16); save it as UTF-8, or {give}")
+            raise InputError(
+                "this is not a text file in UTF-8, because it contains a NUL character, as in UTF-16; save the file as "
+                f"UTF-8, or {give}"
+            )
     return text.replace("\r\n", "\n")
 
 

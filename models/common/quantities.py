@@ -123,9 +123,14 @@ class Heading:
         column = f"column {self.column}, {short_repr(self.text)}," if self.text else f"column {self.column}"
         allowed, instead = f"allowed: {list_names(units)}", f", or give :{option}={si}" if option else ""
         if given and size not in (None, units[given]):
-            raise InputError(f"{column} is in {self.unit}, but {option} = {given} is given; omit one of the two, or correct it")
+            raise InputError(
+                f"{column} has a heading with the unit {self.unit}, but {option} = {given} gives a different unit; omit "
+                "the wrong one"
+            )
         if not given and self.unit and size is None:
-            raise InputError(f"{column} has the unit {short_repr(self.unit)} ({allowed}); convert the column{instead}")
+            raise InputError(
+                f"{column} has the unit {short_repr(self.unit)} ({allowed}); convert the column to an allowed unit{instead}"
+            )
         if not (given or self.unit or default):
             name = f"{self.name}_{re.sub('[ /]', '_', si)}"  # a heading in this form can also be the name of a MATLAB variable
             raise InputError(f"{column} has no unit ({allowed}); write the heading {self.name} [{si}] or {name}{instead}")

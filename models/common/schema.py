@@ -230,7 +230,8 @@ class AnyTable(Key):
         """Returns the table."""
         if not isinstance(value, Mapping):
             raise InputError(
-                f"{HERE} = {short_repr(value)} is not a table; write its name in single brackets, and its keys on the lines below"
+                f"{HERE} = {short_repr(value)} is not a table; write the name of the table in single brackets, and "
+                "its keys on the lines below"
             )
         return value
 
@@ -438,7 +439,7 @@ def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()
         for part in text.split(":")[1:]:
             name, equals, value = part.partition("=")
             if not equals or name not in (names or known):
-                raise InputError(f"{part!r} is not a setting NAME=VALUE; NAME must be one of {list_names(names or known)}")
+                raise InputError(f"{part!r} does not have the form NAME=VALUE; NAME must be one of {list_names(names or known)}")
             if name in given:
                 raise InputError(f"{name} is given twice, as {given[name]!r} and as {value!r}; give it once")
             given[name] = value

@@ -91,13 +91,17 @@ class NumberTable:
         if not rows and optional:
             return [Heading(column=i) for i in range(1, self.count + 1)]
         if not rows:
-            raise InputError(f"no line above line {self.first + 1} has headings for its {self.count} column(s); {self.give}")
+            raise InputError(
+                f"no line above line {self.first + 1} has one heading for each of the {self.count} column(s); {self.give}"
+            )
         headings = rows[-1]
         if len(rows) > 1 and any(one.text and not one.name for one in headings) and all(map(_maybe_unit, headings)):
             for heading, below in zip(rows[-2], headings, strict=True):
                 if heading.unit and below.unit not in ("", heading.unit):
                     texts = f"{heading.text!r} and {below.text!r}"
-                    raise InputError(f"the headings {texts} of column {heading.column} contradict each other; correct one")
+                    raise InputError(
+                        f"the headings {texts} of column {heading.column} contradict each other; correct one of the headings"
+                    )
             units_below = [one.unit or one.name.lower() for one in headings]
             headings = [replace(one, unit=one.unit or unit) for one, unit in zip(rows[-2], units_below, strict=True)]
         readable = (one for one in headings if not one.unit or any(unit_size(one.unit, unit) for unit in units))
@@ -105,10 +109,11 @@ class NumberTable:
         for heading in headings:
             if DIGITS.fullmatch(heading.text):
                 found = f"the heading of column {heading.column} is {short_repr(heading.text)}, not a name"
-                raise InputError(f"{found}; put # before lines that are not headings, or {self.give}")
+                raise InputError(f"{found}; put # before each line above the numbers that is not a heading, or {self.give}")
             if not (optional or alike) and same.count(heading.quantity or heading.name) > 1:
                 raise InputError(
-                    f"two columns are called {short_repr(heading.quantity or heading.name)}; remove one of these columns"
+                    f"two columns are called {short_repr(heading.quantity or heading.name)}; remove or rename one of "
+                    "these columns"
                 )
         return headings
 
@@ -166,7 +171,9 @@ class NumberTable:
                 number = _number(cell)
                 if len(marked) == 2:
                     both = " and ".join(dict.fromkeys(marked.values()))
-                    raise InputError(f"numbers contain both commas and dots: {both}; write numbers without thousands separators")
+                    raise InputError(
+                        f"some numbers contain both a comma and a dot: {both}; write numbers without thousands separators"
+                    )
                 if number is None or not math.isfinite(number):
                     raise InputError(f"line {line}, column {column + 1}: {short_repr(cell)} is not a finite number; {self.give}")
                 values.append(number)
@@ -174,8 +181,8 @@ class NumberTable:
             lines.append(line)
         if [*marked] == [","] and thousands and integers:
             raise InputError(
-                f"{marked[',']}, which may be a thousands separator; write numbers without thousands separators, "
-                "and decimals with a dot"
+                f"{marked[',']}, which may be a thousands separator; write numbers without thousands separators, and "
+                "with a decimal point"
             )
         return np.frombuffer(values, dtype=float).reshape(-1, len(used)), lines
 
@@ -240,7 +247,7 @@ def table_text(path: Path) -> str:
     suffix = path.suffix.lower()
     if path.exists() and (size := path.stat().st_size) > MOST_BYTES:
         most = f"at most {MOST_BYTES // 10**6} MB are read"
-        raise InputError(f"the file has {size // 10**6} MB, but {most}; shorten it, or resample it at a lower rate")
+        raise InputError(f"the file has {size // 10**6} MB, but {most}; shorten the record, or resample it at a lower rate")
     if suffix == ".mcap" or suffix in MDF_SUFFIXES:
         return _tab_text((mcap_rows if suffix == ".mcap" else mdf_rows)(path))
     if suffix == ".parquet":
@@ -259,7 +266,8 @@ def table_text(path: Path) -> str:
         tables = [name for name, rows in sheets.items() if sum(_has_numbers(row) for row in rows) > 1]
         if len(tables) > 1:
             raise InputError(
-                f"has tables in the sheets {list_names(tables)}, but only one is read; delete the others, or save one as .csv"
+                f"has tables in the sheets {list_names(tables)}, but only one sheet can be read; delete the other "
+                "sheets, or save one sheet as .csv"
             )
         return _tab_text(sheets[(tables or [*sheets])[0]])
     if suffix == ".mat":
@@ -292,7 +300,7 @@ def _parquet_rows(path: Path) -> list[Sequence[Any]]:
     numbers = [i for i, one in enumerate(table.schema) if types.is_integer(one.type) or types.is_floating(one.type)]
     if not numbers:
         raise InputError(
-            f"no column of {list_names(table.column_names)} contains numbers; give numeric columns, with times in seconds"
+            f"no column of {list_names(table.column_names)} contains numbers; give columns of numbers, with times in seconds"
         )
     columns = [table.column(i).to_numpy() for i in numbers]
     return [[table.column_names[i] for i in numbers], *zip(*(one.tolist() for one in columns), strict=True)]
@@ -310,7 +318,10 @@ def _matlab_rows(content: bytes) -> list[Sequence[Any]]:
         return np.asarray(next(iter(columns.values())), dtype=float).tolist()
     if not vectors or len({len(value) for value in vectors.values()}) > 1:
         sizes = ", ".join(f"{name} {'x'.join(map(str, value.shape))}" for name, value in arrays.items()) or "nothing"
-        raise InputError(f"the file contains {sizes}; save vectors of equal length, such as distance and height, or one matrix")
+        raise InputError(
+            f"the file contains {sizes}, which do not form one table; save vectors of equal length, such as distance and "
+            "height, or one matrix"
+        )
     return [[*vectors], *np.column_stack([value.astype(float) for value in vectors.values()]).tolist()]
 
 
@@ -327,9 +338,13 @@ def matlab_variables(content: bytes) -> dict[str, Any]:
         with warnings.catch_warnings(action="ignore"):  # SciPy would warn about two objects with the same name
             return loadmat(BytesIO(content))
     except NotImplementedError as error:
-        raise InputError("the file has version 7.3 (HDF5), which cannot be read; save it in MATLAB with '-v7'") from error
+        raise InputError(
+            "the file has MATLAB version 7.3 (HDF5), which cannot be read; save the file in MATLAB with '-v7'"
+        ) from error
     except Exception as error:
-        raise InputError(f"this is not a MATLAB file, or it is damaged ({error}); save it in MATLAB with '-v7'") from error
+        raise InputError(
+            f"this is not a MATLAB file, or it is damaged ({error}); save the file again in MATLAB, with '-v7'"
+        ) from error
 
 
 def find_table(text: str, give: str, separator: str = "", column: int = 0) -> NumberTable:
@@ -345,7 +360,10 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
         InputError: no line has a number in the column `column`.
     """
     if "\0" in text:
-        raise InputError(f"this is not a text file in UTF-8 (a NUL character, as in UTF-16); save it as UTF-8, or {give}")
+        raise InputError(
+            "this is not a text file in UTF-8, because it contains a NUL character, as in UTF-16; save the file as "
+            f"UTF-8, or {give}"
+        )
     lines = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
     for first, line in enumerate(lines):
         mark, cells = _split(line, separator)

@@ -48,7 +48,9 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
         if path is None:
             continue
         if path == STDOUT and json:
-            raise InputError(f"--{option} {path} and --json both write to standard output; give --{option} a file")
+            raise InputError(
+                f"--{option} {path} and --json both write to standard output; give --{option} a file instead of standard output"
+            )
         place = str(path) if path == STDOUT else identity(path)
         if place in taken:
             raise InputError(f"--{option} {path} {taken[place]}; give another file")
@@ -63,13 +65,19 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
             check_file(path, what)
             if what in ("save", "vehicle") and not _is_own(path):
                 option = f"--{OPTIONS.get(what, what)}"
-                raise InputError(f"{option} {path} exists and was not written by {option}; give another name or remove it")
+                raise InputError(
+                    f"{option} {path} already exists, but was not written by {option}; give another name, or remove the "
+                    "existing file"
+                )
         if what == "picture":
             FEATURES.load("pictures").check_drawing()
         elif what == "figures" and path.is_dir():
             for file in path.iterdir():  # the names of the figures are known only after the figures are drawn
                 if file.suffix.lower() in OF_FIGURES and identity(file) in read_files:
-                    raise InputError(f"--figures {path} contains the input file {file.name}; give another folder")
+                    raise InputError(
+                        f"--figures {path} contains the input file {file.name}, which a figure could overwrite; give "
+                        "another folder"
+                    )
 
 
 def _check_ending(path: Path, what: str) -> None:

@@ -95,7 +95,7 @@ def check_page() -> None:
     try:
         import jinja2  # noqa: F401
     except ImportError as error:
-        raise InputError(f"a report needs {error.name}; pip install 'roadproof[report]'") from None
+        raise InputError(f"a report needs the package {error.name}; run pip install 'roadproof[report]'") from None
     check_drawing()
 
 

@@ -60,7 +60,7 @@ def check_drawing() -> None:
     try:
         _matplotlib()
     except ImportError:
-        raise InputError("pictures need matplotlib; pip install 'roadproof[report]' or omit --picture") from None
+        raise InputError("pictures need matplotlib; run pip install 'roadproof[report]', or omit --picture") from None
 
 
 def _matplotlib() -> Any:

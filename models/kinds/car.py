@@ -115,8 +115,8 @@ class Car:
             check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], size, of)
             if abs(offset := p.get("centre_offset", 0.0)) >= widest / 2:
                 raise InputError(
-                    f"centre_offset = {offset:g} m is not between the wheels, which are {widest / 2:g} m from the middle; give a "
-                    "smaller offset"
+                    f"centre_offset = {offset:g} m is beyond the wheels, which are {widest / 2:g} m from the middle "
+                    "of the car; give a smaller centre_offset"
                 )
         links.check_links(p)
         check_stands(self.body(p))

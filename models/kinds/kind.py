@@ -398,7 +398,8 @@ class VehicleKind(CheckedFields):
         for i, one in enumerate(names_of(of_parts)):
             if one in taken or one in names_of(of_parts)[:i]:
                 raise InputError(
-                    f"[parts] an element has the state {one!r}, which is already the name of a signal; rename the section"
+                    f"[parts] a state of an element would be called {one!r}, which is already the name of a signal; rename "
+                    "the section of this element"
                 )
         return self if of_parts == self.of_parts else replace(self, signals=(*others, *of_parts), of_parts=of_parts)
 
@@ -461,12 +462,15 @@ class VehicleKind(CheckedFields):
             if part.ratio not in self.ratios or part.stiffness not in parameters:
                 continue
             if part.deflection not in loads:
-                raise InputError(f"{part.ratio} changes with travel, but static_loads has no {part.deflection}; add this load")
+                raise InputError(
+                    f"{part.ratio} changes with travel, so the static load of the suspension is needed, but static_loads "
+                    f"returns no {part.deflection}; add this load to static_loads"
+                )
             rate = -self.ratios[part.ratio].relative_slope * loads[part.deflection]
             if not np.isclose(rates.setdefault(part.stiffness, rate), rate, rtol=1e-9, atol=0):
                 raise InputError(
-                    f"suspensions that share {part.stiffness} carry different static loads, so {part.ratio} over travel "
-                    "gives them different wheel rates; give each suspension its own parameter"
+                    f"suspensions with the same parameter {part.stiffness} carry different static loads, so a {part.ratio} "
+                    "that changes with travel gives them different wheel rates; give each suspension its own parameter"
                 )
         return rates
 
@@ -607,18 +611,20 @@ class VehicleKind(CheckedFields):
         for part in self.suspensions if self.ratios else ():
             if at_wheels.get(part.stiffness, 0.0) < 0:
                 raise InputError(
-                    f"{part.ratio} changes so fast with travel that the preload makes the spring's wheel rate "
+                    f"{part.ratio} changes so fast with travel that the preload of the spring makes the wheel rate "
                     f"{at_wheels[part.stiffness]:.4g} N/m; give a stiffer spring, or a ratio that changes less with travel"
                 )
         self.check_together(at_wheels)
         for tyre, squeeze in self.static_tyre_deflection(checked).items():
             if squeeze <= 0:
-                raise InputError(f"{tyre}: this wheel has no contact with the road at rest; move mass towards this wheel")
+                raise InputError(
+                    f"{tyre}: at rest, this wheel carries no load and does not touch the road; move mass towards this wheel"
+                )
             if squeeze > MOST_SQUEEZE:
                 raise InputError(
-                    f"{tyre} at rest is {squeeze:.3g} m (weight over tyre stiffness), but at most {MOST_SQUEEZE} m is "
-                    f"allowed: check that masses are in kg and stiffness in N/m; lower the masses or "
-                    "raise the stiffness"
+                    f"{tyre} at rest is {squeeze:.3g} m (weight divided by tyre stiffness), but at most "
+                    f"{MOST_SQUEEZE} m is allowed. Check that masses are in kg and stiffness in N/m; lower the masses "
+                    "or raise the stiffness"
                 )
         return checked
 

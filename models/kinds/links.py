@@ -177,7 +177,8 @@ def check_links(p: Parameters) -> None:
     if len(given) == 1:
         other = next(part.name for part in ROLL_CENTRES if part.name not in p)
         raise InputError(
-            f"{given[0]} is given without {other}, but the roll axis runs through both roll centres; give both or neither"
+            f"{given[0]} is given without {other}, but the roll axis runs through both roll centres; give both "
+            "heights, or neither"
         )
 
 

@@ -387,14 +387,17 @@ def check_stands(body: RigidBody) -> None:
         # Angle that a moment causes if all other modes are free to move
         freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)
     except np.linalg.LinAlgError:
-        raise InputError("the body falls over: nothing holds its weight; add springs, or omit roll and pitch centres") from None
+        raise InputError(
+            "the body falls over, because no spring holds it; add springs, or omit the roll and pitch centres"
+        ) from None
     for i, mode in enumerate(body.modes[1:], start=1):
         turns, centres = ("pitches", "pitch centre") if mode == 1 else ("rolls", "roll centres")
         holding, turning = 1 / freed[i, i], body.weight[i, i]
         if holding <= turning:
             raise InputError(
-                f"the body falls over as it {turns}: its weight turns it with {turning:.4g} N m/rad, but springs, bars and tyres "
-                f"hold it with only {holding:.4g} N m/rad; give stiffer springs, bars or tyres, or higher {centres}"
+                f"the body falls over when it {turns}: its weight has a moment of {turning:.4g} N m/rad, but springs, "
+                f"bars and tyres hold only {holding:.4g} N m/rad; give stiffer springs, bars or tyres, or higher "
+                f"{centres}"
             )
 
 

@@ -72,7 +72,8 @@ def read_seat(section: Mapping[str, Any], kind: VehicleKind, parameters: Mapping
     """
     if kind.folder != HERE:
         raise InputError(
-            f"[seat] applies only to built-in vehicle types; add a mass above the body to {kind.name}.py, or omit the section"
+            f"[seat] applies only to built-in vehicle types; add the seat as a mass above the body in {kind.name}.py, "
+            "or omit the section [seat]"
         )
     seat, type_with_seat = read("[seat]", Seat, section), seated_kind(kind)
     known = {one.name for one in type_with_seat.parameters}

@@ -50,9 +50,14 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     with _locate_errors(path):
         if not isinstance(kind, VehicleKind):
             has = f"KIND is a {type(kind).__name__}" if "KIND" in vars(module) else "the file defines no KIND"
-            raise InputError(f"{has}; end the file with KIND = VehicleKind(...), as in docs/how-to/custom-vehicle-type.md")
+            raise InputError(
+                f"{has}; end the file of the vehicle type with KIND = VehicleKind(...), as in docs/how-to/custom-vehicle-type.md"
+            )
         if kind.name != name:
-            raise InputError(f"KIND has the name {kind.name!r}, but its files are named {name!r}; use one name for both")
+            raise InputError(
+                f"KIND has the name {kind.name!r}, but the files of this vehicle type are named {name!r}; use the same "
+                "name for both"
+            )
         check_parts(kind)
     return _guarded_kind(path, replace(kind, folder=folder))
 
@@ -87,7 +92,7 @@ def check_parts(kind: VehicleKind) -> None:
                 rule = f"use letters, digits and '_', without a digit first or {STATE_PREFIX} at the beginning"
                 raise InputError(f"{what}: {name!r} is not allowed; {rule}")
             if given.count(name) > 1:
-                raise InputError(f"{what}: the name {name!r} is used twice; use each name once")
+                raise InputError(f"{what}: the name {name!r} is used twice; give different names")
     signals = [signal.name for signal in kind.signals]
     accelerations = [signal.name for signal in kind.signals if signal.unit == "m/s2"]
     for what, name, known in (
@@ -135,7 +140,8 @@ def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
             if angle not in ("pitch_angle", "roll_angle") or not signals.issuperset(parts):
                 raise InputError(
                     f"angles returns {angle!r} as a sum of {list_names(parts)}, which is not allowed; return "
-                    "{'pitch_angle': {signal: factor}}, or 'roll_angle', with signals of the vehicle type"
+                    "{'pitch_angle': {signal: factor}}, or the same with 'roll_angle', and use signals of the "
+                    "vehicle type"
                 )
 
 
@@ -147,7 +153,7 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
     forces = {suspension.force for suspension in kind.suspended or () if suspension.force}
     if model.tyres_damp:
         raise InputError(
-            "linear_model returns Bt or Dw for tyre damping; omit both: only built-in vehicle types have tyre damping"
+            "linear_model returns Bt or Dw for tyre damping, but only built-in vehicle types have tyre damping; omit Bt and Dw"
         )
     for what, given, wanted in (
         ("disturbances", model.disturbances, roads),
@@ -171,7 +177,10 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
         wrong = np.any(own[rows] != np.eye(len(names)), axis=1) | np.any([other[rows].any(axis=1) for other in others], axis=0)
         if wrong.any():
             name = names[int(np.argmax(wrong))]
-            raise InputError(f"linear_model: output {name!r} differs from the state or input of this name; correct its rows")
+            raise InputError(
+                f"linear_model: output {name!r} differs from the state or input with the same name; correct the rows of "
+                "this output in the output matrices"
+            )
 
 
 def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:

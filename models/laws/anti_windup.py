@@ -39,8 +39,8 @@ def anti_windup_gain(law: LinearLaw) -> Array:
     assert law.sample_period is not None, "it is discrete"
     if law.anti_windup * law.sample_period < SLACK:
         raise InputError(
-            f"anti_windup = {law.anti_windup:g} 1/s is too small for a sample period of {law.sample_period:g} s: its effect is "
-            f"lost in rounding; give at least {SLACK / law.sample_period:.2g} 1/s"
+            f"anti_windup = {law.anti_windup:g} 1/s is too small for a sample period of {law.sample_period:g} s, "
+            f"because its effect would be lost in rounding; give at least {SLACK / law.sample_period:.2g} 1/s"
         )
     circle = float(np.exp(-law.anti_windup * law.sample_period))
     try:
@@ -50,8 +50,8 @@ def anti_windup_gain(law: LinearLaw) -> Array:
     except (np.linalg.LinAlgError, ValueError):
         pass
     raise InputError(
-        f"anti_windup = {law.anti_windup:g} 1/s cannot be reached: a state of this law is slower and has almost no effect "
-        "on the forces; remove this state from the law, or give a smaller anti_windup"
+        f"anti_windup = {law.anti_windup:g} 1/s cannot be reached, because a state of this law is slower and has "
+        "almost no effect on the forces; remove this state from the law, or give a smaller anti_windup"
     )
 
 

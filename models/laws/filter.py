@@ -191,8 +191,8 @@ class FilterSection(Section):
             return Filter(WEIGHTINGS[self.filter], self.filter)
         if self.numerator is None or self.denominator is None:
             raise InputError(
-                "this is not a filter; give the coefficients in descending powers of s as numerator = [...] and denominator = "
-                f"[...], or give filter = {' or '.join(map(repr, WEIGHTINGS))}"
+                "this is not a filter; give numerator = [...] and denominator = [...] with the coefficients in "
+                f"descending powers of s, or give filter =  {' or '.join(map(repr, WEIGHTINGS))}"
             )
         return Filter(((self.numerator, self.denominator),), integrates=self.integrates)
 
@@ -202,13 +202,19 @@ def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
     for one in given:
         if not is_finite(one) or not (one == 0 or SMALLEST <= abs(one) <= LARGEST):
             raise InputError(
-                f"{what} has the coefficient {short_repr(one)}; give 0 or a magnitude from {SMALLEST:g} to {LARGEST:g}"
+                f"{what} has the coefficient {short_repr(one)}, which is not allowed; give 0 or a magnitude from "
+                f"{SMALLEST:g} to {LARGEST:g}"
             )
     coefficients = tuple(float(one) for one in itertools.dropwhile(lambda one: one == 0, given))
     if not coefficients:
-        raise InputError(f"all coefficients of the {what} are 0; give at least one that is not 0, in descending powers of s")
+        raise InputError(
+            f"all coefficients of the {what} are 0, but at least one must differ from 0; give the coefficients in "
+            "descending powers of s"
+        )
     if len(coefficients) > MOST + 1:
-        raise InputError(f"{what} has degree {len(coefficients) - 1}, at most {MOST} is allowed; split or reduce the filter")
+        raise InputError(
+            f"{what} has degree {len(coefficients) - 1}, but at most {MOST} is allowed; give a filter of lower degree"
+        )
     return coefficients
 
 
@@ -222,26 +228,32 @@ def _check(above: Sequence[float], below: Sequence[float], integrates: bool) -> 
     """
     if len(above) > len(below):
         raise InputError(
-            f"the numerator has degree {len(above) - 1}, but the denominator only {len(below) - 1}, so the gain grows without "
-            "limit at high frequencies; give a denominator of at least the same degree"
+            f"the numerator has degree {len(above) - 1}, but the denominator only has degree {len(below) - 1}, so the "
+            "gain grows without limit at high frequencies; give a denominator of at least the same degree"
         )
     if integrates and not below[-1] and len(below) > 1:
         if not above[-1]:
-            raise InputError("the pole at 0 is cancelled by a zero at 0; divide numerator and denominator by s")
+            raise InputError("the filter has a pole at 0 that a zero at 0 cancels; divide both numerator and denominator by s")
         below = below[:-1]
         if not below[-1]:
-            raise InputError("the denominator has two roots at 0, a double integral; give at most one root at 0")
+            raise InputError("the denominator has two roots at 0, which integrate twice; give at most one root at 0")
     if not _decays(below):
         advice = "; a weight may have one pole at 0, an integral" if integrates else ""
         raise InputError(f"the filter is unstable: a root of its denominator is not left of the imaginary axis{advice}")
     poles = np.abs(np.roots(below))
     beyond = [pole for pole in poles if not SLOWEST <= pole <= FASTEST]
     if beyond:
-        raise InputError(f"the filter has a pole at {beyond[0]:.4g} rad/s; give poles from {SLOWEST:g} to {FASTEST:g} rad/s")
+        raise InputError(
+            f"the filter has a pole at {beyond[0]:.4g} rad/s, outside the allowed range; give poles from {SLOWEST:g} to "
+            f"{FASTEST:g} rad/s"
+        )
     around = np.geomspace(poles.min(initial=1.0) / 10, poles.max(initial=1.0) * 10, 200)
     largest = np.abs(np.polyval(above, 1j * around) / np.polyval(below, 1j * around)).max()
     if not LEAST <= largest <= MOST_GAIN:
-        raise InputError(f"the largest gain of the filter is {largest:.3g}; give a largest gain from {LEAST:g} to {MOST_GAIN:g}")
+        raise InputError(
+            f"the largest gain of the filter is {largest:.3g}, outside the allowed range; give a largest gain from "
+            f"{LEAST:g} to {MOST_GAIN:g}"
+        )
 
 
 def _decays(polynomial: Sequence[float]) -> bool:

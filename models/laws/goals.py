@@ -199,9 +199,9 @@ def _tolerance(value: Any, context: Mapping[str, Any]) -> dict[str, float | Filt
     forces = [force for force in context["corners"] if force not in measured]
     if wrong := [name for name in value if name not in (*measured, *forces, FORCE)]:
         allowed = list_names((*measured, *forces, FORCE))
-        raise InputError(f"{HERE}: unknown key {short_repr(wrong[0])}; give {allowed} ({FORCE} is all forces)")
+        raise InputError(f"{HERE}: unknown key {short_repr(wrong[0])}; give {allowed} ({FORCE} stands for all forces)")
     if FORCE in value and any(force in value for force in forces):
-        raise InputError(f"{HERE} has both {FORCE}, which means all forces, and a single force; give one of the two")
+        raise InputError(f"{HERE} has both {FORCE}, which stands for all forces, and a single force; give only one of the two")
     return {name: _error(f"{HERE}.{name}", one) for name, one in value.items()}
 
 
@@ -235,7 +235,9 @@ def _structure(value: Any, context: Mapping[str, Any]) -> str | tuple[tuple[bool
             f"for each force, with {len(measured)} number(s) 0 or 1, one for each measured signal"
         )
     if not any(any(row) for row in value):
-        raise InputError(f"{HERE} has only zeros, so the gain is 0; give a 1 where a signal may act on a force")
+        raise InputError(
+            f"{HERE} has only zeros, so every entry of the gain would be 0; give a 1 where a signal may act on a force"
+        )
     return tuple(tuple(bool(entry) for entry in row) for row in value)
 
 
@@ -254,12 +256,15 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
     for signal, used in zip(measured, zip(*rows, strict=True), strict=True):
         if not any(used):
             raise InputError(
-                f"{what}, but {signal!r} is not from a corner; measure signals whose names end like those of the forces "
-                f"{list_names(corners)}, or give structure as a list of rows of 0 and 1, one row for each force"
+                f"{what}, but the signal {signal!r} does not belong to a corner; measure only signals whose names end "
+                f"like those of the forces {list_names(corners)}, or give structure as a list of rows of 0 and 1, one row "
+                "for each force"
             )
     for force, row in zip(corners, rows, strict=True):
         if not any(row):
-            raise InputError(f"{what}, but no measured signal is from the corner of {force!r}; add one")
+            raise InputError(
+                f"{what}, but no measured signal belongs to the corner of {force!r}; measure a signal of this corner"
+            )
     return rows
 
 
@@ -292,7 +297,10 @@ class Goals(Section):
 
     def __post_init__(self) -> None:
         if self.over == REGRET and not self.family:
-            raise InputError('minimise has over = "regret", which needs a family; add family = [{ ... }, ...], or omit over')
+            raise InputError(
+                'minimise has over = "regret", but goals has no family of vehicles, over which the regret is computed; '
+                "add family = [{ ... }, ...], or omit over"
+            )
 
     @property
     def goals(self) -> "Goals":

@@ -124,4 +124,6 @@ class LawSource:
 
 def no_design(name: str) -> NoReturn:
     """Raises an InputError, because the controller has a linear law, which `synth.design_controllers` must design."""
-    raise InputError(f"controller {name!r} has a linear law; design this controller with synth.design_controllers")
+    raise InputError(
+        f"controller {name!r} has a linear law that is not designed yet; design the controller with synth.design_controllers"
+    )

@@ -115,11 +115,11 @@ class StructureSection(Goals):
         rows = _one_each(what, measured, corners)
         if given := [name for name in GAINS if getattr(pid, name)]:
             raise InputError(
-                f"{what} designs the gains, but pid already gives {given[0]}; omit structure to use the given gains, or give "
-                "only filter in pid"
+                f"{what} asks for a design of the gains, but pid already gives {given[0]}; omit structure to use the "
+                "given gains, or give only filter in pid"
             )
         if self.structure == PI and pid.filter is not None:
-            raise InputError(f"{what} has no derivative, but the key pid sets the filter of a derivative; omit pid")
+            raise InputError(f"{what} has no derivative, but the key pid sets the filter of the derivative; omit pid")
         if self.structure == PID and pid.filter is None:
             raise InputError(
                 f"{what} needs the time constant of the derivative's low-pass filter; give it in seconds, as in "
@@ -142,7 +142,9 @@ class StructureSection(Goals):
                 "filter in seconds, as in filter = 0.01"
             )
         if pid.filter is not None and not np.any(pid.kd):
-            raise InputError("pid has a filter, which acts only on the derivative, but no kd; give kd, or omit filter")
+            raise InputError(
+                "pid has a filter, which acts only on the derivative, but pid has no derivative gain kd; give kd, or omit filter"
+            )
         K = np.zeros((m, 3 * m))  # gains that multiply the outputs of the PID filters of all signals
         for part, gains in enumerate((pid.kp, pid.ki, pid.kd)):
             K[range(m), range(part, 3 * m, 3)] = gains or 0.0
@@ -204,7 +206,7 @@ def _one_each(what: str, measured: Sequence[str], corners: Mapping[str, str]) ->
         return tuple(tuple(i == j for j in range(q)) for i in range(m))
     if q != m:
         raise InputError(
-            f"{what} needs one measured signal for each force, but measured has {q} signal(s) for {m} force(s); give "
-            f"{m} signal(s)"
+            f"{what} needs one measured signal for each force, but measured lists {q} signal(s) for {m} force(s); "
+            f"list {m} signal(s) in measured"
         )
     return corner_rows(what, measured, corners)

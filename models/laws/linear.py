@@ -65,7 +65,9 @@ class LinearLaw(LawSource):
             object.__setattr__(self, name, matrix)
         k, (m, q) = len(self.A), self.D.shape
         if k > MOST_STATES:
-            raise InputError(f"a controller with {k} states is too large; reduce its order to at most {MOST_STATES}")
+            raise InputError(
+                f"a controller with {k} states is too large; reduce the order of the controller to at most {MOST_STATES}"
+            )
         for name, shape in {"A": (k, k), "B": (k, q), "C": (m, k)}.items():
             given = getattr(self, name).shape
             if given != shape:
@@ -212,7 +214,9 @@ class LinearLaw(LawSource):
             return replace(self, sample_period=None)
         root, shifted = np.sqrt(self.sample_period), self.A + np.eye(self.states)
         if np.linalg.svd(shifted, compute_uv=False)[-1] < SINGULAR * max(1.0, np.abs(self.A).max()):
-            raise InputError("a discrete controller with a pole at z = -1 has no continuous counterpart; move this pole")
+            raise InputError(
+                "a discrete controller with a pole at z = -1 has no continuous counterpart; move this pole away from -1"
+            )
         inverse = np.linalg.inv(shifted)
         try:
             return LinearLaw(
@@ -224,7 +228,8 @@ class LinearLaw(LawSource):
             )
         except InputError as error:
             raise InputError(
-                f"in its continuous counterpart (Tustin), {error}; scale the states so that B and C have similar sizes"
+                f"in its continuous counterpart (Tustin), {error}; scale the states of the controller so that B and C "
+                "have entries of similar size"
             ) from error
 
     @property
@@ -287,8 +292,8 @@ def without_loop(direct: Array) -> Array:
     sizes = np.linalg.svd(loop, compute_uv=False)
     if len(sizes) and sizes[-1] < SINGULAR * max(1.0, sizes[0]):
         raise InputError(
-            "the forces change the measurements instantly, and I - D_c D is singular, so this algebraic loop has no "
-            "solution; change the gain on the accelerations, or filter the accelerations"
+            "the forces change the measurements instantly, and I - D_c D is singular, so this algebraic loop of "
+            "forces has no solution; change the gain on the accelerations, or filter the accelerations"
         )
     return loop
 

@@ -101,7 +101,10 @@ class PythonLaw(LawSource):
             return {}
         place = os.path.relpath(os.path.realpath(self.path), os.path.realpath(folder))
         if place.startswith(os.pardir):
-            raise InputError(f"the law {self.law} would be outside of the folder {folder} of the vehicle file")
+            raise InputError(
+                f"the file of the law {self.law} would be outside the folder {folder} of the vehicle file; move the file "
+                "into this folder"
+            )
         return {"fmu": Path(place).as_posix()} if self.is_fmu else {"law": f"{Path(place).as_posix()}:{self.function}"}
 
     def driver(
@@ -122,7 +125,8 @@ class PythonLaw(LawSource):
         path = self.path
         if path is None:
             raise InputError(
-                f"law {self.law}: its code is not available, as the vehicle is read from text; read the vehicle from a file"
+                f"law {self.law}: the code of this law is not available, because the vehicle was read from text; read "
+                "the vehicle from a file instead"
             )
         if self.is_fmu:
             content = read_bytes(path, "FMU", GIVE_FMU)
@@ -281,10 +285,13 @@ class ProgramSection(Section):
     def __post_init__(self) -> None:
         if self.fmu is not None and (others := [key for key in ("law", "preview") if getattr(self, key) is not None]):
             raise InputError(
-                f"has both fmu and {list_names(others)}, but an FMU is a complete law without preview; omit one of them"
+                f"has both fmu and {list_names(others)}, but an FMU is already a complete law, without preview; omit "
+                f"fmu or {list_names(others)}"
             )
         if self.fmu is None and (named := [key for key in ("inputs", "outputs") if getattr(self, key) is not None]):
-            raise InputError(f"{named[0]} describes variables of an FMU; give the FMU as fmu, or omit {named[0]}")
+            raise InputError(
+                f"{named[0]} describes variables of an FMU, but the section names no FMU; give the FMU as fmu, or omit {named[0]}"
+            )
 
     def program(self, folder: Path | None) -> PythonLaw | None:
         """Returns the Python law or the FMU; None for a section with a different type of law. Opens no file.

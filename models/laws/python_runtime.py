@@ -103,7 +103,8 @@ class OwnLaw:
             step = vars(module).get(law.function)
         if not callable(step):
             raise InputError(
-                f"{self._what}: the file has no function {law.function!r}; define it as def {law.function}(sample, state)"
+                f"{self._what}: the file has no function {law.function!r}; define the function as def "
+                f"{law.function}(sample, state)"
             )
         self._step: Callable[..., Any] = step
         self._timed, name, self.vectorised = _takes_time(step), f"{law.function}.vectorised", getattr(step, "vectorised", False)
@@ -168,7 +169,7 @@ class OwnLaw:
             if self._fmu and isinstance(error, InputError):
                 raise InputError(f"{self._what}{f', at {time:.6g} s' if time else ''}: {error}") from error
             said = f"{name} fails ({reason(error, self._path)}){'' if time is None else f' at {time:.6g} s'}"
-            raise InputError(f"{self._what}: {said}; correct it") from error
+            raise InputError(f"{self._what}: {said}; correct the law") from error
 
 
 def anew(function: Any) -> Any:
@@ -292,7 +293,7 @@ class FileRuns:
                 said = f"takes longer than {longest:g} s" if longest in (LONGEST, LONGEST_START) else SLOW
             except EndedError as error:
                 said = f"ends its process ({error})"
-            self._error = InputError(f"{self._what}: {name} {said}{when}; correct it")
+            self._error = InputError(f"{self._what}: {name} {said}{when}; correct {name}")
         raise self._error
 
 

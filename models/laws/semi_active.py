@@ -303,7 +303,9 @@ class SemiActiveSection(Section):
         """
         if self.semi_active is None:
             if others := [key for key in given if key in keys(SemiActiveSection)]:
-                raise InputError(f'{others[0]} needs a semi-active law; give it, as in semi_active = "skyhook"')
+                raise InputError(
+                    f'{others[0]} needs a semi-active law, but the section names none; give a law, as in semi_active = "skyhook"'
+                )
             return None
         (law, _, own), what = LAWS[self.semi_active], f"semi_active = {self.semi_active!r}"
         if wrong := [key for key in given if key not in ("semi_active", *own)]:
@@ -311,16 +313,21 @@ class SemiActiveSection(Section):
             raise InputError(f"{what} has no key {wrong[0]!r} ({known}); omit {wrong[0]}")
         if absent := [force for force in inputs if force not in endings]:
             raise InputError(
-                f'{what} needs semi-active dampers, but {absent[0]} has none; give [actuators] kind = "damper", c_min and c_max'
+                f'{what} needs semi-active dampers, but {absent[0]} has none; add [actuators] with kind = "damper", '
+                "c_min and c_max"
             )
         modes = tuple(mode for mode in MODES if mode in outputs) if law is skyhook_modal else ()
         if law is skyhook_modal and not modes:
-            raise InputError(f'{what} needs a body that pitches or rolls; for other vehicles, give "skyhook_linear"')
+            raise InputError(
+                f'{what} needs a body that pitches or rolls, which this vehicle does not have; give "skyhook_linear" instead'
+            )
         for key, mode in MODAL.items():
             if key in given and mode not in modes:
                 raise InputError(f"{key} has no effect, because this vehicle has no {mode}; omit {key}")
         numbers = tuple((key, getattr(self, key)) for key in own if key in given)
         law = SemiActiveLaw(self.semi_active, numbers, tuple(endings[force] for force in inputs), modes)
         if lacking := [signal for signal in law.measured if signal not in outputs]:
-            raise InputError(f"{what} measures {lacking[0]!r}, which this vehicle type does not have; choose another law")
+            raise InputError(
+                f"{what} measures the signal {lacking[0]!r}, which this vehicle type does not have; choose a different law"
+            )
         return law

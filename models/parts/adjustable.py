@@ -100,26 +100,27 @@ class Adjustable(SettablePart):
         damper, beside = dampers[place.force], vehicle.curves.get(name)
         if not name:
             raise InputError(
-                f"[actuators] the vehicle type does not define a damper at {place.force}; give damping in its Suspension"
+                f"[actuators] the vehicle type defines no damper at {place.force}; give `damping` in the Suspension of "
+                f"{place.force} in the vehicle type"
             )
         if isinstance(beside, ForceSurface):
             raise InputError(
-                f"[curves] {name} depends on velocity and deflection, but [actuators] gives this suspension a "
-                "semi-active damper; omit one of the two, or give a curve over velocity only"
+                f"[curves] {name} depends on velocity and deflection, but [actuators] gives this suspension a semi-active "
+                "damper; omit one of the two, or give a curve that depends only on velocity"
             )
         nominal = vehicle.parameters[name]
         if not damper.c_min <= nominal <= damper.c_max:
             raise InputError(
-                f"{name} = {nominal:g} N s/m, the damping without a command, is not between c_min = {damper.c_min:g} and "
-                f"c_max = {damper.c_max:g} N s/m of [actuators]; change {name}, c_min or c_max"
+                f"{name} = {nominal:g} N s/m, the damping coefficient without a command, is not between c_min = "
+                f"{damper.c_min:g} and c_max = {damper.c_max:g} N s/m of [actuators]; change {name}, c_min or c_max"
             )
         one = cls(place.force, place.ending, damper, nominal, 1.0, _nominal_curve(damper, nominal, beside))
         _check_takes(name, one)
         pairs = [dampers[other.force].pair for other in suspensions if other.damping == name and vehicle.adjusted(other.force)]
         if damper.pair is not None and not all(damper.pair.same(pair) for pair in pairs):
             raise InputError(
-                f"[actuators] suspensions that share {name} have different damper curves; give the same c_min and "
-                "c_max to all of these suspensions"
+                f"[actuators] suspensions with the same parameter {name} have different damper curves; give the same "
+                "c_min and c_max to all of these suspensions"
             )
         yield one, name
 
@@ -191,6 +192,7 @@ def _check_takes(parameter: str, one: Adjustable) -> None:
     where += [f"beyond {x[end]:g} m/s, where its end is extended" for end in (0, -1) if on[end] < -ROUNDING * one.steepest_slope]
     if where:
         raise InputError(
-            f"[curves] {parameter} is parallel to a semi-active damper, and at c_min both together supply energy {where[0]}; "
-            "give only a line and friction in [curves], and the measured limits as curves c_min and c_max in [actuators]"
+            f"[curves] {parameter} is parallel to a semi-active damper, and at c_min both together supply energy "
+            f"{where[0]}. Give only a line and friction in [curves]; give the measured limits as curves c_min and "
+            "c_max"
         )

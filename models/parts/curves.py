@@ -59,10 +59,16 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> dict[str, RatioTab
         return {}
     ratio_table = FEATURES.load("motion ratios over travel").ratio_table
     if kind.static_loads is nothing:
-        raise InputError(f"[curves] {min(names)}: a curve needs static_loads, which this vehicle type does not have; add them")
+        raise InputError(
+            f"[curves] {min(names)}: a motion ratio as a curve needs the static loads, but this vehicle type has no "
+            "static_loads; add static_loads to the vehicle type"
+        )
     for part in kind.suspensions:
         if part.ratio in names and not part.damping:
-            raise InputError(f"[curves] {part.ratio}: {part.deflection} has no damping parameter; set damping in its Suspension")
+            raise InputError(
+                f"[curves] {part.ratio}: {part.deflection} has no damping parameter, which a motion ratio as a curve "
+                f"needs; give `damping` in the Suspension of {part.deflection} in the vehicle type"
+            )
     ratios = {}
     for parameter in kind.parameters:
         if parameter.name in names:

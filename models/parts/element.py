@@ -105,14 +105,14 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str], taken: Col
             if key in given
         }
         if "kind" not in given:
-            raise InputError(f"{where} kind is missing; give one of {list_names(kinds)}")
+            raise InputError(f"{where} kind is missing; give kind = one of {list_names(kinds)}")
         place = read(where, PartSite, common)
         if place.kind not in kinds:
             raise InputError(f"{where} kind = {place.kind!r} is unknown; give one of {alike(place.kind, kinds)}")
         if unknown := [key for key in given if key not in (known := [*keys(PartSite), *keys(kinds[place.kind])])]:
             raise InputError(f"{where} unknown key {short_repr(unknown[0])}; known keys: {alike(unknown[0], known)}")
         if name in taken:
-            raise InputError(f"{where} has the name of a parameter; give the section another name")
+            raise InputError(f"{where} has the same name as a parameter of the vehicle; give the section a different name")
         with error_in(where):
             some = _places(place.at, corners)
         part: Any = read(where, kinds[place.kind], {key: one for key, one in given.items() if key not in keys(PartSite)})

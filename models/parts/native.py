@@ -146,7 +146,8 @@ def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:
         length = sensors.get(deflection)
         if length is None or length.type not in speeds:
             raise InputError(
-                f"{velocity!r} needs a sensor {deflection!r} that measures the length of a tendon or joint; add this sensor"
+                f"{velocity!r} needs a sensor {deflection!r} that measures the length of a tendon or the position of "
+                "a joint; add this sensor"
             )
         sensor = spec.add_sensor(name=velocity, type=speeds[length.type], objtype=length.objtype, objname=length.objname)
         sensor.userdata = list(length.userdata)

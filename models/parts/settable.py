@@ -197,10 +197,16 @@ def element_dampers(
                 raise InputError(f"{what} needs an actuator{where}, which this vehicle type does not have; omit largest_voltage")
             if place.force in dampers:
                 other = dampers[place.force].name
-                raise InputError(f"{what} and [parts.{other}] largest_voltage both control {place.force}; omit one of the two")
+                raise InputError(
+                    f"{what} and [parts.{other}] largest_voltage both control {place.force}, but only one element can; "
+                    "omit largest_voltage in one of the two elements"
+                )
             own = place.ending.removeprefix("_")
             if own in actuators or any(not isinstance(value, Mapping) or key in CURVE_KEYS for key, value in actuators.items()):
-                raise InputError(f"{what} and [actuators] both control {place.force}; omit one of the two at this suspension")
+                raise InputError(
+                    f"{what} and [actuators] both control {place.force}, but only one actuator can; omit one of the two "
+                    "at this suspension"
+                )
             dampers[place.force] = ElementDamper.of(one)
     if dampers:
         check_unlimited(limited, f"[parts.{next(iter(dampers.values())).name}] has a semi-active damper")

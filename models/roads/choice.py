@@ -152,7 +152,10 @@ def _rig(where: str, text: str, folder: Path) -> Rig:
     """Returns the posts of a rig from a drive file."""
     file = RIG.fullmatch(text)
     if file is None:
-        raise InputError(f"{where} a rig needs a drive file; give a .csv or .txt file, as in rig:file=drive.csv{RPC}")
+        raise InputError(
+            f"{where} a test rig needs a file with the heights of its posts; give a .csv or .txt file, as in "
+            f"rig:file=drive.csv{RPC}"
+        )
     from models.roads.rig_file import RigSettings, read_rig
 
     return read_rig(path_from(file["path"], folder), read_text(where, RigSettings, file["settings"]))

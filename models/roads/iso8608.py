@@ -129,7 +129,7 @@ class Iso8608(Section, Road):
             several = " and ".join(
                 f"{name} = {value if isinstance(value, str) else f'{value:g}'}" for name, value in given.items()
             )
-            raise InputError(f"this road has {several}; give only one of them as its roughness")
+            raise InputError(f"the roughness of this road is given more than once, by {several}; give only one of these keys")
         if not (self.lowest < self.highest and len(self.n) > 1):
             band, (low, high) = f"{self.lowest:g}..{self.highest:g}", BAND
             raise InputError(
@@ -148,7 +148,10 @@ class Iso8608(Section, Road):
         if "band" in given:
             ends = str(given["band"]).split("..")
             if len(ends) != 2:
-                raise InputError(f"band = {given['band']!r} is not allowed; give both ends, as in band=0.011..2.83")
+                raise InputError(
+                    f"band = {given['band']!r} is not allowed; give the lower and the upper end in cycle/m, as in "
+                    "band=0.011..2.83"
+                )
             fields |= {name: setting("band", end, "1/m") for name, end in zip(("lowest", "highest"), ends, strict=True)}
         return fields
 

@@ -62,7 +62,10 @@ class Surface:
         middle, tracks = (self.v[0] + self.v[-1]) / 2, []
         for v in (middle + track_width / 2, middle - track_width / 2):
             if not self.v[0] <= v <= self.v[-1]:
-                raise InputError(f"road file {self.source}: width {np.ptp(self.v):g} m is less than the track {track_width:g} m")
+                raise InputError(
+                    f"road file {self.source}: the width of {np.ptp(self.v):g} m is less than the vehicle's track width "
+                    f"of {track_width:g} m; give a wider road"
+                )
             j = min(int(np.searchsorted(self.v, v, side="right")), len(self.v) - 1)
             share = (v - self.v[j - 1]) / (self.v[j] - self.v[j - 1])
             tracks.append(self.z[:, j - 1] + share * (self.z[:, j] - self.z[:, j - 1]))
@@ -83,7 +86,7 @@ def read_surface(path: Path) -> Surface:
         try:
             from pyopencrg import CrgRoad, io  # pyright: ignore[reportMissingImports] - an extra
         except ImportError as error:
-            raise InputError("OpenCRG files need PyOpenCRG; install it with pip install -e '.[opencrg]'") from error
+            raise InputError("OpenCRG files need PyOpenCRG; install this package with pip install -e '.[opencrg]'") from error
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # most of PyOpenCRG's warnings do not matter for a profile
@@ -111,7 +114,9 @@ def _check_whole(header: str, u: Array, width: int, channels: int, last: int) ->
         last: number of characters in the last line of the file.
     """
     if last < (expected := ((channels - 1) % (LINE // max(width, 1)) + 1) * width):
-        raise InputError(f"the file is incomplete: its last line has {last} characters, not {expected}; give the whole file")
+        raise InputError(
+            f"the file is incomplete, because its last line has {last} characters instead of {expected}; give the whole file"
+        )
     end = re.search(rf"reference_line_end_u\s*=\s*{NUMBER}", header, re.IGNORECASE)
     step = re.search(rf"reference_line_increment\s*=\s*{NUMBER}|reference line u,[^,]*,[^,]*,\s*{NUMBER}", header, re.IGNORECASE)
     if end and step and len(u) < (promised := round((float(end[1]) - u[0]) / float(step[1] or step[2])) + 1):

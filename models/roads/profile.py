@@ -79,9 +79,9 @@ class Profile(MeasuredRoad):
         slope = float(np.sqrt(np.mean((np.diff(z, axis=0) / np.diff(x)[:, None]) ** 2)))
         if slope > STEEPEST:
             raise InputError(
-                f"the road is {x[-1] - x[0]:.4g} m long in steps of {np.median(np.diff(x)):.3g} m, heights from {z.min():.4g} "
-                f"to {z.max():.4g} m. Its rms slope of {slope:.3g} is steeper than any road; if distances are in km, or heights "
-                "in mm, add :distance_unit=km or :height_unit=mm"
+                f"the road is {x[-1] - x[0]:.4g} m long in steps of {np.median(np.diff(x)):.3g} m, with heights from "
+                f"{z.min():.4g} to {z.max():.4g} m. Its rms slope of {slope:.3g} is steeper than that of any road; "
+                "check the units, as in :distance_unit=km or :height_unit=mm"
             )
 
     def remark(self, length: float) -> str:
@@ -250,7 +250,7 @@ def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Arra
     rest = distance > start
     if not distance[0] <= start < distance[-1]:
         first, last = distance[0], distance[-1]
-        raise InputError(f"from = {start:g} m is not on the road; give a distance from {first:g} m to less than {last:g} m")
+        raise InputError(f"from = {start:g} m is not on the road; start at a distance from {first:g} m to less than {last:g} m")
     here = [np.interp(start, distance, track) for track in heights.T]
     return np.concatenate([[start], distance[rest]]), np.concatenate([[here], heights[rest]])
 
@@ -292,23 +292,26 @@ def check_ascending(
     """
     fewest = FEWEST if smooth else 2
     if len(x) < fewest:
-        raise InputError(f"a {what} needs at least {fewest} points, but has {len(x)}; give more points")
+        raise InputError(f"a {what} needs at least {fewest} points, but this one has {len(x)}; add more points")
     for i in np.flatnonzero(~np.isfinite(x) | ~np.all(np.isfinite(heights), axis=1))[:1]:
         raise InputError(f"{where(i)} is not finite: {axis} {x[i]:g}, heights {' '.join(f'{z:g}' for z in heights[i][:8])}")
     steps = np.diff(x)
     for i in np.flatnonzero(steps <= 0)[:1]:
         if steps[i] == 0:
-            raise InputError(f"{axis} {x[i]:.12g} {unit} is repeated ({where(i)} and {where(i + 1)}); keep one of the two points")
+            raise InputError(
+                f"{axis} {x[i]:.12g} {unit} is repeated ({where(i)} and {where(i + 1)}); keep only one of the two points"
+            )
         there = f"{axis} falls from {x[i]:.12g} {unit} to {x[i + 1]:.12g} {unit} ({where(i)} and {where(i + 1)})"
         if (steps < 0).all():
-            raise InputError(f"{there} and at all other points; reverse the order of the points")
+            raise InputError(f"{there} and between all other points; reverse the order of the points")
         both = "; if this column is a map coordinate, give the other coordinate, too" if np.mean(steps < 0) > OFTEN else ""
         raise InputError(f"{there}; sort the points by {axis}{both}")
     usual = float(np.median(steps))
     for i in np.flatnonzero(smooth & (steps > GAP * usual))[:1]:
         there = f"there is a gap from {x[i]:g} {unit} to {x[i + 1]:g} {unit} ({where(i)} and {where(i + 1)})"
         raise InputError(
-            f"{there}: more than {GAP:g} times the usual step of {usual:g} {unit}; fill this gap, or cut the {what} there"
+            f"{there}: more than {GAP:g} times the usual step of {usual:g} {unit}; fill this gap with points, or "
+            f"divide the {what} at the gap"
         )
 
 
@@ -320,7 +323,7 @@ def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
     """
     names, table = read_points(content, "road")
     if len(names) != 3:
-        raise InputError(f"the road's points have {len(names)} column(s); expected the three columns distance, left and right")
+        raise InputError(f"the road's points have {len(names)} column(s); give the three columns distance, left and right")
     return Profile(table[:, 0], table[:, 1:], speed, source, join)
 
 
@@ -341,5 +344,8 @@ def read_points(content: bytes, what: str) -> tuple[list[str], Array]:
     except ValueError as error:
         raise InputError(f"the points of the {what} cannot be read ({str(error).splitlines()[0]})") from error
     if table.shape[1] != len(names):
-        raise InputError(f"the points of the {what} have {table.shape[1]} column(s) of numbers, but {len(names)} name(s)")
+        raise InputError(
+            f"the points of the {what} have {table.shape[1]} column(s) of numbers, but {len(names)} name(s); give one "
+            "name for each column"
+        )
     return names, table

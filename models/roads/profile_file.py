@@ -157,8 +157,8 @@ def _profile(text: str, speed: float, source: str, given: TableSettings) -> Prof
     known = stepped or given.distance_unit or headings[used[0]].unit or (path and _in_degrees([headings[i] for i in place]))
     if spacing > WIDEST and not known:
         raise InputError(
-            f"the points are {spacing:.3g} m apart if the distances, which have no unit, are in m; give their unit, as in "
-            ":distance_unit=mm or :distance_unit=m"
+            f"the distances have no unit. If they are in m, the points are {spacing:.3g} m apart, which is not "
+            "plausible; give the unit of the distances, as in :distance_unit=mm or :distance_unit=m"
         )
     return Profile(distance, heights, speed, source, note="; ".join(note))
 
@@ -219,7 +219,10 @@ def erd_text(text: str) -> tuple[str, str]:
     lines = header.splitlines()
     sizes = [part.strip() for part in lines[1].split(",")] if len(lines) > 1 else []
     if not end or len(sizes) < 6:
-        raise InputError("the ERD file has no sizes on line 2, or no END; export the profile as text")
+        raise InputError(
+            "the ERD file has no numbers of channels and samples on line 2, or no line END; export the profile as a "
+            "text file instead"
+        )
     if sizes[4] != str(IN_TEXT):
         raise InputError(f"the ERD file has binary numbers (KEYNUM {sizes[4]}); export it with numbers as text (KEYNUM 5)")
     values = {line[:FIELD].strip(): line[FIELD:] for line in lines[2:]}
@@ -240,19 +243,26 @@ def rdf_text(text: str) -> str:
     values = {name.strip().upper(): value.strip(" '\"").lower() for name, _, value in (line.partition("=") for line in lines)}
     if (kind := values.get("ROAD_TYPE", "")) != "poly_line":
         raise InputError(
-            f"ROAD_TYPE = {short_repr(kind)} cannot be read; give a road of type 'poly_line', or a .csv file of heights"
+            f"ROAD_TYPE = {short_repr(kind)} cannot be read; only the type 'poly_line' is supported; give such a "
+            "road, or a .csv file of heights"
         )
     marks = [i for i, line in enumerate(lines) if line.upper() == RDF]
     if not marks:
-        raise InputError(f"the file has no table {RDF} of distance, left and right height; give the whole file")
+        raise InputError(
+            f"the file has no table {RDF} (distance, left height, right height), so the file seems to be incomplete; "
+            "give the whole file"
+        )
     for name, value in values.items():
         if name.startswith("ROTATION") and not re.fullmatch(r"[+-]?0*\.?0*(e[+-]?\d+)?", value):
             raise InputError(
-                f"{name} = {value} rotates the road, and rotated roads are not supported; give a road along x with {name} = 0"
+                f"{name} = {value} rotates the road, but rotated roads are not supported; give a road along the x axis, "
+                f"with {name} = 0"
             )
     unit = values.get("LENGTH", "")
     if not unit:
-        raise InputError("the file has no LENGTH in [UNITS]; give the unit of the table, as in LENGTH = 'meter'")
+        raise InputError(
+            "the file has no LENGTH in [UNITS], so the unit of the table is unknown; give the unit, as in LENGTH = 'meter'"
+        )
     begin, length = marks[0] + 1, RDF_UNITS.get(unit, unit)
     rows = itertools.takewhile(lambda line: not line.startswith(("[", "(")), lines[begin:])
     numbers = ["" if line.startswith("{") else line for line in rows]
@@ -295,7 +305,10 @@ def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: 
     if _in_degrees(headings):
         degrees = numbers * [unit_size(one.unit or "deg", "deg") or 1.0 for one in headings]
         if not (np.abs(degrees) <= (360, 90)).all():
-            raise InputError(f"{columns} go up to {np.abs(degrees).max():.6g}; give decimal degrees, up to 360 and 90")
+            raise InputError(
+                f"{columns} go up to {np.abs(degrees).max():.6g}, beyond the range of degrees; give decimal degrees, up "
+                "to 360 for longitude and 90 for latitude"
+            )
         eccentricity = FLATTENING * (2 - FLATTENING)
         turn, latitude = np.deg2rad(np.diff(degrees, axis=0)), np.deg2rad((degrees[1:, 1] + degrees[:-1, 1]) / 2)
         across = AXIS / np.sqrt(1 - eccentricity * np.sin(latitude) ** 2)
@@ -337,7 +350,7 @@ def _other_length(table: NumberTable, headings: Sequence[Heading], distance: Arr
     column, columns = f"column {heading.column} ({short_repr(heading.text)})", columns_in_words(headings)
     found = f"{column} is {rough(own)} m long, but the path through {columns} is {rough(length)} m long"
     if max(own, length) > OTHER * min(own, length):
-        raise InputError(f"{found}; remove one of them, or choose the columns of distance and height, as in :columns=3,4")
+        raise InputError(f"{found}; remove the wrong columns, or choose the columns of distance and height, as in :columns=3,4")
     return [found]
 
 
@@ -352,8 +365,8 @@ def _check_tracks(distance: Array, heights: Array, first: int) -> None:
     difference = heights[:, 0] - heights[:, 1]
     if (largest := np.abs(difference).max()) > APART or np.ptp(difference) > max(SLIGHT, DIVERGING * np.ptp(distance)):
         raise InputError(
-            f"the columns have no headings, and the last two differ by up to {largest:.6g} m, so they are not the heights of two "
-            f"tracks; write headings above line {first}, such as x [m], y [m], height [m] or distance [m], left [mm], right [mm]"
+            f"the columns have no headings. The last two differ by up to {largest:.6g} m, too much for tracks; write "
+            f"headings above line {first}, such as x [m], y [m], height [m] or distance [m], left [mm], right [mm]"
         )
 
 
@@ -370,6 +383,7 @@ def _check_commas(table: NumberTable) -> None:
     number, row = next(table.rows())
     if not any("." in cell for _, cells in table.rows() for cell in cells[1:]):
         raise InputError(
-            f"line {number}: {','.join(row)!r} could be a distance and two heights, or a distance and one height with a decimal "
-            "comma; give :separator=comma for two heights, or separate the columns with semicolons"
+            f"line {number}: {','.join(row)!r} can be read as a distance and two heights, or as a distance and one "
+            "height with a decimal comma; give :separator=comma for two heights, or separate the columns with "
+            "semicolons"
         )

@@ -72,7 +72,8 @@ class Rig(MeasuredRoad):
             if post_name(post) in _names(wheel):
                 return post
         raise InputError(
-            f"no column has the name of the wheel, {_names(wheel)[0]}; the columns are {list_names(self.posts[:20])}"
+            f"no column has the name of this wheel, {_names(wheel)[0]}, so its post has no heights; rename one of the "
+            f"columns {list_names(self.posts[:20])}"
         )
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
@@ -124,8 +125,8 @@ class Rig(MeasuredRoad):
             if post not in posts:
                 names = [_names(wheel)[0] for wheel in vehicle.kind.wheels]
                 raise InputError(
-                    f"column {short_repr(post)} does not belong to a wheel of this vehicle; omit it, or give one of "
-                    f"{list_names(names)}"
+                    f"column {short_repr(post)} does not belong to a wheel of this vehicle; omit the column, or "
+                    f"rename it to one of {list_names(names)}"
                 )
         super().check(vehicle, time)
 
@@ -188,7 +189,7 @@ def check_posts(posts: Sequence[str]) -> None:
         InputError: two posts belong to the same wheel, a post has no name, or there are no posts.
     """
     if not posts:
-        raise InputError("there are no columns of heights; give one column for each wheel")
+        raise InputError("the drive file has no columns of heights; give one column of heights for each wheel")
     seen: dict[str, str] = {}
     for post in posts:
         name = post_name(post)
@@ -196,7 +197,8 @@ def check_posts(posts: Sequence[str]) -> None:
             raise InputError(f"a column is called {short_repr(post)}; give this column the name of the wheel on this post")
         if name in seen:
             raise InputError(
-                f"the columns {short_repr(seen[name])} and {short_repr(post)} belong to the same wheel; remove one of them"
+                f"the columns {short_repr(seen[name])} and {short_repr(post)} belong to the same wheel; remove one of "
+                "the two columns"
             )
         seen[name] = post
 

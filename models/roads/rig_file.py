@@ -44,7 +44,7 @@ def read_rig(path: Path, settings: RigSettings) -> Rig:
         headings = table.headings(("s", "m"))
         clocks = [heading for heading in headings if heading.quantity == "time"]
         if len(clocks) != 1:
-            raise InputError(f"{len(clocks)} columns are called time, but exactly one is needed; {FORMAT}")
+            raise InputError(f"{len(clocks)} columns are called time, but exactly one column of times is needed; {FORMAT}")
         posts = [heading for heading in headings if heading is not clocks[0]]
         check_posts([post.name for post in posts])
         scales = [clocks[0].scale("time", "time_unit", settings.time_unit)]

@@ -190,19 +190,25 @@ class Road(ABC):
         timestep = float(time[1])
         if self.duration < 2 * timestep and not self.jumps:
             raise InputError(
-                f"the road takes only {self.duration:.3g} s, less than two timesteps of {timestep:g} s, so the simulation would "
-                "miss it; give a longer road, a lower speed, or a smaller timestep"
+                f"the road takes only {self.duration:.3g} s, less than two timesteps of {timestep:g} s, so the "
+                "simulation would miss the road; give a longer road, a lower speed, or a smaller timestep"
             )
         if self.track != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
-            raise InputError(f"track = {self.track} needs two tracks, but a {vehicle.kind.name} has only one; omit track")
+            raise InputError(
+                f"track = {self.track} needs a vehicle with a left and a right track, but a {vehicle.kind.name} has only "
+                "one track; omit track"
+            )
         heights = under_wheels(self.displacement, self, vehicle, time)
         if heights.ndim != 2 or len(heights) != len(time) or not np.all(np.isfinite(heights)):
-            raise InputError(f"{type(self).__name__}.displacement(t) must return one finite height [m] for each time in t")
+            raise InputError(
+                f"{type(self).__name__}.displacement(t) returned a wrong result; return one finite height [m] for each time in t"
+            )
         highest = float(np.abs(heights).max())
         if 0 < highest < LOWEST:
             raise InputError(
-                f"the road's height is at most {highest:.2g} m in {time[-1]:.4g} s of the run, and heights below {LOWEST:g} m "
-                "are lost in rounding; give a higher road, a higher speed, a longer duration, or height 0"
+                f"the road's height is at most {highest:.2g} m during the {time[-1]:.4g} s of the run, but heights "
+                f"below {LOWEST:g} m are lost in rounding; give a higher road, a higher speed, a longer duration, or "
+                "height 0"
             )
 
 

@@ -35,7 +35,9 @@ class Multisine(Section, Road):
 
     def __post_init__(self) -> None:
         if not len(self.omega) == len(self.amplitudes) == len(self.phases):
-            raise InputError(f"road {self.name}: omega, amplitudes and phases have different lengths; give lists of equal length")
+            raise InputError(
+                f"road {self.name}: omega, amplitudes and phases have different lengths; give three lists of equal length"
+            )
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:

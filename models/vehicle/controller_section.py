@@ -40,24 +40,28 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Giv
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.file is not None:
-            raise InputError("file needs a vehicle file next to it, but this vehicle is read from text; give the matrices")
+            raise InputError(
+                "file names a file next to the vehicle file, but this vehicle is read from text; give the matrices "
+                "instead of file"
+            )
         matrices = [key for key in (*MATRICES, "sample_period") if getattr(self, key) is not None]
         if matrices and self.pid is not None:
-            raise InputError(f"has both pid and {matrices[0]}, but a controller has only one law; omit one of them")
+            raise InputError(f"has both pid and {matrices[0]}, but a controller can have only one law; omit one of these keys")
         if matrices and (missing := [key for key in MATRICES if key not in matrices]):
             raise InputError(
-                f"{list_names(missing)} is missing, but x_c' = A x_c + B y, u = C x_c + D y needs A, B, C and D; give all four"
+                f"{list_names(missing)} is missing, but x_c' = A x_c + B y, u = C x_c + D y needs all four matrices; "
+                "give A, B, C and D"
             )
         GivenSection.__post_init__(self)
         if self.preview is not None and self.law is None and self.design != PREVIEW:
             raise InputError(
-                f'preview needs a law in Python or design = "{PREVIEW}", which receive the road ahead; omit preview, or give a '
-                'law, as in law = "my_law.py:step"'
+                f'preview needs a law in Python or design = "{PREVIEW}", because only these receive the road ahead; '
+                'omit preview, or give a law, as in law = "my_law.py:step"'
             )
         if self.preview is None and self.design == PREVIEW:
             raise InputError(
-                f'design = "{PREVIEW}" needs a preview time, the range of the road sensor divided by the speed; give it in '
-                "seconds, as in preview = 0.5"
+                f'design = "{PREVIEW}" needs a preview time (the range of the road sensor divided by the speed); give '
+                "the preview time in seconds, as in preview = 0.5"
             )
 
     @property

@@ -136,7 +136,9 @@ def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]
     """Returns the names of the measured signals after checking that the vehicle can measure these signals."""
     measurable, study = list_names(context["measurable"]), context.get("study", False)
     if not isinstance(value, list | tuple) or not value or not all(isinstance(signal, str) for signal in value):
-        raise InputError(f"{HERE} = {short_repr(value)} is not a list of signals; give a list of signals from {measurable}")
+        raise InputError(
+            f'{HERE} = {short_repr(value)} is not a list of signals; give a list, as in ["NAME"], of signals from {measurable}'
+        )
     for signal in value:
         if signal not in context["signals"]:
             raise InputError(
@@ -146,16 +148,19 @@ def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]
             raise InputError(f"{HERE} contains {signal!r} twice; list this signal once")
         if signal in context["heights"] and not study:
             raise InputError(
-                f"{HERE}: {signal!r} is a height above a flat datum, which no sensor on a car measures; give study = true for a "
-                f"theoretical study, or choose signals from {measurable}"
+                f"{HERE}: {signal!r} is a height above the datum of a flat road, which no sensor on a car can "
+                f"measure; give study = true for a theoretical study, or choose signals from {measurable}"
             )
         if signal not in (*context["measurable"], *context["heights"]):
             raise InputError(
-                f"{HERE}: {signal!r} depends on the road's height, but feedback may use only the state; choose signals from "
-                f"{measurable}"
+                f"{HERE}: {signal!r} depends on the road's height, but feedback may use only the state of the "
+                f"vehicle; choose signals from {measurable}"
             )
     if study and not set(value) & set(context["heights"]):
-        raise InputError(f"{HERE} contains no height above a flat datum, and only such heights need study = true; omit study")
+        raise InputError(
+            f"{HERE} contains no height above the datum of a flat road, but study = true has an effect only with such a "
+            "height; omit study"
+        )
     return tuple(value)
 
 
@@ -222,9 +227,15 @@ class GivenSection(SignalSection):
 
     def __post_init__(self) -> None:
         if self.certificate is not None and not self.given:
-            raise InputError("certificate is allowed only in a section with a gain or a law; omit it, or give a gain or a law")
+            raise InputError(
+                "certificate is allowed only in a section with a gain or a law, to which the certificate belongs; omit "
+                "certificate, or give a gain or a law"
+            )
         if self.loads is not None and not self.loads:
-            raise InputError("loads = {} is empty; give loads that count as much as 1 m/s of road velocity, or omit loads")
+            raise InputError(
+                "loads = {} names no load; give each load with the size that counts as much as 1 m/s of road velocity, "
+                "or omit loads"
+            )
 
     @property
     def given(self) -> bool:
@@ -298,10 +309,14 @@ def read_controllers(
         name = unicodedata.normalize("NFC", written)
         where = f"[controllers.{name}]"
         if name in controllers:
-            raise InputError(f"{where} appears twice, in two spellings that look the same; rename one of the two")
+            raise InputError(
+                f"{where} appears twice, with different Unicode characters that look the same; rename one of the two controllers"
+            )
         check_name(where, name, RESERVED_NAMES)
         if not isinstance(given, Mapping) and written in keys(FEATURES.load("all keys of controllers").ControllerSection):
-            raise InputError(f"[controllers] {written} is a key of a single controller; write it in a section [controllers.NAME]")
+            raise InputError(
+                f"[controllers] {written} is a key of a single controller; move {written} into a section [controllers.NAME]"
+            )
         parts = section_parts(given, model.inputs) if isinstance(given, Mapping) else {}
         check_together(where, parts)
         asked = read(where, _section_class(given), given, **facts)
@@ -345,7 +360,9 @@ def _entry(
     if not measured:
         raise InputError(f"measured is missing; give a list of signals from {measurable}")
     if not asked.given and python is None and set(measured) <= set(model.inputs):
-        raise InputError(f"control forces alone do not determine the state; add signals from {measurable}")
+        raise InputError(
+            f"the measured control forces alone do not determine the state of the vehicle; add signals from {measurable}"
+        )
     if of_state and set(measured) != set(model.states):
         instead = ', or give design = "lqg"' if asked.design == "lqr" else ""
         raise InputError(
@@ -354,8 +371,8 @@ def _entry(
         )
     if asked.design == PREVIEW and dampers:
         raise InputError(
-            f'design = "{PREVIEW}" applies forces before the wheels reach a bump, but semi-active dampers only resist motion; '
-            "choose another design, or omit [actuators]"
+            f'design = "{PREVIEW}" applies forces before the wheels reach a bump, but semi-active dampers can only '
+            "resist motion, so they cannot apply these forces; choose a different design, or omit [actuators]"
         )
     request = DesignRequest(
         design=FULL if asked.order == FULL else asked.design or "",
@@ -367,12 +384,12 @@ def _entry(
     law = asked.linear_law(measured, corners)
     if asked.anti_windup is not None and law is not None:
         if not law.states:
-            raise InputError("has anti_windup, but its law has no states that can wind up; omit anti_windup")
+            raise InputError("has anti_windup, but the law has no states that could wind up; omit anti_windup")
         law = replace(law, anti_windup=asked.anti_windup)
     if asked.anti_windup is not None and not dampers and limits.actuator_force is None and limits.force_rate is None:
         raise InputError(
-            "has anti_windup, but no limit clips its forces; omit anti_windup, or give [limits] actuator_force or force_rate, or "
-            '[actuators] kind = "damper"'
+            "has anti_windup, which acts only when forces are clipped, but no limit clips the forces; omit "
+            'anti_windup, or give [limits] actuator_force or force_rate, or [actuators] kind = "damper"'
         )
     return ControllerEntry(
         name,
@@ -397,16 +414,16 @@ def _hardware(
     noise = tuple(implementation.noise.get(signal, 0.0) for signal in measured) if asked.noise else ()
     if asked.noise and not any(noise):
         raise InputError(
-            "has noise = true, but [implementation] gives no noise on its measured signals; give the rms in the signal's unit, "
-            f"as in noise = {{ {measured[0]} = 0.01 }}, or omit noise = true"
+            "has noise = true, but [implementation] gives no noise of the measured signals; give the rms in the "
+            f"signal's unit, as in noise = {{ {measured[0]} = 0.01 }}, or omit noise = true"
         )
     forces = [signal for signal, rms in zip(measured, noise, strict=bool(noise)) if rms and signal in inputs]
     # A law that has separate gains for each force may measure forces like any other signal.
     by_force = request.structure is not None and request.structure.rows is not None
     if forces and not (asked.lag or by_force or request.two_steps):
         raise InputError(
-            f"has noise = true, but [implementation] has noise on {forces[0]!r}, and a design cannot account for noise on a "
-            f"measured force; omit the noise on {forces[0]!r}"
+            f"has noise = true, but [implementation] has noise on {forces[0]!r}, but a design cannot account for "
+            f"noise on a measured force; omit the noise on {forces[0]!r}"
         )
     if asked.lag and limits.actuator_bandwidth is None:
         raise InputError("has lag = true, but [limits] has no actuator_bandwidth; give actuator_bandwidth [rad/s], or omit lag")

@@ -64,7 +64,9 @@ class ForeignFmu:
         old, platforms = description.fmiMajorVersion == 2, [path.name for path in Path(self._folder.name, "binaries").glob("*")]
         needed = fmpy.platform if old else fmpy.platform_tuple
         if needed not in platforms:
-            raise InputError(f"the FMU has binaries for {list_names(platforms)}, but not for {needed}; export it for {needed}")
+            raise InputError(
+                f"the FMU has binaries for {list_names(platforms)}, but not for {needed}; export the FMU for {needed}"
+            )
         with self._errors():
             fmu: Any = fmpy.instantiate_fmu(self._folder.name, description, "CoSimulation", logger=_log)
             self._fmu, self._end = fmu, weakref.finalize(self, _end, fmu)
@@ -84,7 +86,7 @@ class ForeignFmu:
             self._set_inputs(sample)
             result = self._fmu.doStep(sample.time, sample.period)
             if result and result[1]:  # with this value, an FMU of FMI 3 reports that it has ended the simulation
-                raise InputError("the FMU ended the simulation")
+                raise InputError("the FMU ended the simulation early; correct the FMU")
             return [getattr(self._fmu, f"get{one.type}")([one.valueReference])[0] for one in self._forces]
 
     def _set_inputs(self, sample: Sample) -> None:
@@ -126,7 +128,9 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
         InputError: the FMU is not for co-simulation, or its inputs, outputs or units do not match the controller.
     """
     if description.fmiMajorVersion == 1 or description.coSimulation is None:
-        raise InputError(f"it has FMI {description.fmiVersion}{'' if description.coSimulation else ', no co-simulation'}; {GIVE}")
+        raise InputError(
+            f"the FMU uses FMI {description.fmiVersion}{'' if description.coSimulation else ', no co-simulation'}; {GIVE}"
+        )
     # Only real variables are used; variables of other types keep their start values
     real = [one for one in description.modelVariables if one.type in ("Real", "Float64", "Float32")]
     inputs, outputs = (
@@ -143,7 +147,10 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
         )
     forces = [outputs[name] for name in (FORCE, *(f"{FORCE}_{corner}" for corner in CORNERS)) if name in outputs]
     if not forces:
-        raise InputError(f"the outputs are {list_names(outputs)}; call the forces {FORCE} or {FORCE}_CORNER, or give outputs")
+        raise InputError(
+            f"the FMU has the outputs {list_names(outputs)}, and their forces are unknown; rename the outputs to {FORCE} "
+            f"or {FORCE}_CORNER, or give outputs"
+        )
     for one in (*inputs.values(), *forces):
         name = names.get(one.name, one.name)
         unit = one.unit or (one.declaredType and one.declaredType.unit)
@@ -151,7 +158,10 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
             (known for known in KNOWN_SIGNALS if f"{name}_".startswith(f"{known.name}_")), None
         )  # the name of an FMU variable may end with the name of a corner
         if unit and signal and _plain(unit) != signal.unit:
-            raise InputError(f"{one.name} of the FMU has the unit {short_repr(unit)}; export it in {signal.unit}")
+            raise InputError(
+                f"{one.name} of the FMU has the unit {short_repr(unit)} instead of {signal.unit}; export the variable in "
+                f"{signal.unit}"
+            )
     return [inputs[name] for name in measured], forces
 
 

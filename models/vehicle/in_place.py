@@ -125,7 +125,8 @@ def _laws(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
             raise InputError(f"{where} file = {short_repr(file)} is not the name of a file; {GIVE_LAW}")
         if others := [key for key in ("gain", "law", "fmu", *MATRICES) if key in entry]:
             raise InputError(
-                f"{where} has both file and {list_names(others)}, but a file contains the whole law; omit one of them"
+                f"{where} has both file and {list_names(others)}, but the file contains the whole law; omit file or "
+                f"{list_names(others)}"
             )
         path = path_from(file, folder)
         with reading(path, f"{where} file", GIVE_LAW):
@@ -134,6 +135,9 @@ def _laws(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
             if period is not None:
                 given = in_unit(entry.get("sample_period", period), "s", "sample_period")
                 if given != period:
-                    raise InputError(f"its period is {period:g} s, but sample_period = {short_repr(given)}; omit sample_period")
+                    raise InputError(
+                        f"the law in the file has a sample period of {period:g} s, but the section has sample_period = "
+                        f"{short_repr(given)}; omit sample_period"
+                    )
                 law |= {} if "sample_period" in entry else {"sample_period": period}
         yield Replacement(("controllers", name, "file"), law, origin(file, content), (path,))

@@ -46,7 +46,7 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
             raise InputError(f"{list_names(missing)} is missing in {where}; give A, B, C and D, or K alone")
     if "K" in matrices and {*MATRICES} & {*matrices}:
         raise InputError(
-            f"{where} has both K and {list_names({*MATRICES} & {*matrices})}; keep K, a static gain, or A, B, C and D"
+            f"{where} has both K and {list_names({*MATRICES} & {*matrices})}; keep only K (a static gain), or only A, B, C and D"
         )
     _check_plain(matrices)
     if "A" not in matrices or not matrices["A"].size:
@@ -66,7 +66,7 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
             places[f"the struct {name}"] = {field: value[field][0, 0] for field in value.dtype.names}
     holding = {where: values for where, values in places.items() if {*values} & {*MATRICES, *OTHERS, "K", *TRANSFER}}
     if len(holding) > 1:
-        raise InputError(f"the file contains several controllers, in {' and '.join(holding)}; keep one of them")
+        raise InputError(f"the file contains several controllers, in {' and '.join(holding)}; keep only one controller")
     for where, values in holding.items():
         return where, _as_matrices(where, values)
     # SciPy gives this name to MATLAB objects; each object is a row of four values, which include its name and class
@@ -77,25 +77,30 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
             f"[A, B, C, D, Ts] = ssdata({name}) and {SAVE} in MATLAB"
         )
     others = [name for name in variables if not name.startswith("__")]
-    raise InputError(f"the file contains {first_few(others) or 'nothing'}, but neither A, B, C, D nor K; in MATLAB, call {SAVE}")
+    raise InputError(
+        f"the file contains {first_few(others) or 'nothing'}, but neither K nor the matrices A, B, C and D; in MATLAB, "
+        f"call {SAVE}"
+    )
 
 
 def _as_matrices(where: str, values: dict[str, Any]) -> dict[str, Any]:
     """Returns the matrices of a law by their usual names. A transfer function is converted to a controllable canonical form."""
     if both := [f"{other} and {name}" for other, name in OTHERS.items() if other in values and name in values]:
-        raise InputError(f"{where} has both {both[0]}; keep one of them")
+        raise InputError(f"{where} has both {both[0]}; keep only one of the two variables")
     values = {OTHERS.get(name, name): value for name, value in values.items()}
     if not {*TRANSFER} & {*values}:
         return values
     missing, more = [name for name in TRANSFER if name not in values], [name for name in (*MATRICES, "K") if name in values]
     if missing or more:
         raise InputError(
-            f"{where} has a transfer function {'and ' + more[0] if more else 'without ' + missing[0]}; give only num and den"
+            f"{where} has a transfer function {'and ' + more[0] if more else 'without ' + missing[0]}; give only num "
+            "and den, without matrices"
         )
     num, den = (np.trim_zeros(_numbers(name, values[name]).ravel(), "f") for name in TRANSFER)
     if not len(num) <= len(den) or not len(den):
         raise InputError(
-            f"num has {len(num)} coefficients, but den only {len(den)}; give a den with at least {len(num)}, highest power first"
+            f"num has {len(num)} coefficients, but den has only {len(den)}; give den at least {len(num)} "
+            "coefficients, with the highest power first"
         )
     n, num = len(den) - 1, np.pad(num, (len(den) - len(num), 0)) / den[0]
     a = den[1:] / den[0]
@@ -119,16 +124,20 @@ def _check_plain(matrices: Mapping[str, Any]) -> None:
     """Raises InputError if the struct of a system has further fields that would change the law, such as delays."""
     E = _numbers("E", matrices["E"]) if "E" in matrices else np.zeros((0, 0))
     if E.size and not np.array_equal(E, np.eye(len(E))):
-        raise InputError("E is not the identity; in MATLAB, convert the system to x' = A x + B y with ss(sys, 'explicit')")
+        raise InputError(
+            "the matrix E is not the identity; in MATLAB, convert the system to x' = A x + B y with ss(sys, 'explicit')"
+        )
     delayed = [name for name in DELAYS if np.any(matrices.get(name, 0))]
     if delayed:
         raise InputError(
             f"{', '.join(delayed)} is above 0, but a law in a file cannot have a delay; give the delay in "
-            "[implementation], or use pade(sys, 3)"
+            "[implementation], or approximate it in MATLAB with pade(sys, 3)"
         )
     unit = "".join(map(str, np.ravel(matrices.get("TimeUnit", ""))))
     if unit not in ("", "seconds"):
-        raise InputError(f"TimeUnit is {short_repr(unit)}; in MATLAB, convert to seconds with chgTimeUnit(sys, 'seconds')")
+        raise InputError(
+            f"TimeUnit is {short_repr(unit)} instead of seconds; in MATLAB, convert to seconds with chgTimeUnit(sys, 'seconds')"
+        )
 
 
 def _period(matrices: Mapping[str, Any]) -> float | None:
@@ -136,8 +145,11 @@ def _period(matrices: Mapping[str, Any]) -> float | None:
     periods = {name: _numbers(name, matrices[name]) for name in PERIODS if name in matrices}
     for name, value in periods.items():
         if value.size != 1 or value.item() < 0:
-            raise InputError(f"{name} = {short_repr(value)} is not a sample period; give seconds, or 0 for a continuous law")
+            raise InputError(
+                f"{name} = {short_repr(value)} is not a sample period; give the sample period in seconds, or 0 for a "
+                "continuous law"
+            )
     values = {value.item() for value in periods.values()}
     if len(values) > 1:
-        raise InputError("the file has two different sample periods, Ts and sample_period; keep one of them")
+        raise InputError("the file has two different sample periods, Ts and sample_period; keep only one of the two")
     return max(values, default=0.0) or None

@@ -56,8 +56,8 @@ class LimitsSection(StopSection):
             raise InputError(f"has limit = {self.limit!r}, but no actuator_force; give actuator_force [N], or omit limit")
         if self.limit == "force" and self.force_rate is not None and self.actuator_bandwidth is not None:
             raise InputError(
-                'has limit = "force" and force_rate, but with a rate limit, actuator_force also limits the commands; give '
-                'limit = "command", or omit limit'
+                'has limit = "force" and force_rate, but with force_rate, actuator_force also limits the commands; '
+                'give limit = "command", or omit limit'
             )
 
 
@@ -319,7 +319,9 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
     if not (own or limits.stopped):
         return limits
     if not corners:
-        raise InputError(f"[limits] {next(iter(section))}: this vehicle type has no suspension to stop; omit the key")
+        raise InputError(
+            f"[limits] {next(iter(section))}: this vehicle type has no suspension, so it cannot have end stops; omit the key"
+        )
     return replace(limits, places=tuple(FEATURES.load("stops").read_places(common, own, corners).items()))
 
 
@@ -365,11 +367,14 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
     period, delay = implementation.sample_period, implementation.delay
     steps = 1 if period is None else round(period / timestep)
     if period is not None and (steps < 1 or abs(steps * timestep / period - 1) > 1e-9):
-        raise InputError(f"sample_period = {period:g} s is not a multiple of the timestep {timestep:g} s; give a multiple")
+        raise InputError(
+            f"sample_period = {period:g} s is not a multiple of the timestep {timestep:g} s; give a multiple of the timestep"
+        )
     if abs(delay * steps - round(delay * steps)) > 1e-6:
         raise InputError(
-            f"delay = {samples(delay)} = {delay * steps * timestep:g} s is not a multiple of the timestep {timestep:g} s, but "
-            f"forces change only between timesteps; give a multiple of {timestep:g} s, or a smaller timestep"
+            f"delay = {samples(delay)} = {delay * steps * timestep:g} s is not a multiple of the timestep "
+            f"{timestep:g} s, but forces can change only between two timesteps; give a multiple of {timestep:g} s, or "
+            "a smaller timestep"
         )
     return steps
 

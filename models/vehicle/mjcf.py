@@ -74,7 +74,9 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     read_text(vehicle.kind.mjcf, "MJCF", GIVE)
     spec = _read_model(vehicle)
     if taken := [actuator.name for actuator in spec.actuators if actuator.name.startswith(FITTED_PREFIX)]:
-        raise InputError(f"MJCF {vehicle.kind.mjcf}: names with {FITTED_PREFIX} are reserved; rename the actuator {taken[0]!r}")
+        raise InputError(
+            f"MJCF {vehicle.kind.mjcf}: names that begin with {FITTED_PREFIX} are reserved; rename the actuator {taken[0]!r}"
+        )
     spec.option.timestep = timestep
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     vehicle.kind.write_mjcf(spec, vehicle.kind.at_wheels(vehicle.parameters))
@@ -95,7 +97,7 @@ def _read_model(vehicle: Vehicle) -> mujoco.MjSpec:
     try:
         return _read(kind.mjcf, unnamed)
     except MUJOCO_SAYS as error:
-        raise InputError(f"MJCF {kind.mjcf}: MuJoCo rejects it ({_error_text(error)}); correct it") from error
+        raise InputError(f"MJCF {kind.mjcf}: MuJoCo rejects this file ({_error_text(error)}); correct the file") from error
 
 
 def _read(path: Path, unnamed: frozenset[str]) -> mujoco.MjSpec:
@@ -120,10 +122,10 @@ def _compile_model(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
         try:
             _read_model(vehicle).compile()
         except MUJOCO_SAYS:
-            whose = f"MJCF {vehicle.kind.mjcf}: MuJoCo rejects it"
+            whose = f"MJCF {vehicle.kind.mjcf}: MuJoCo rejects this file"
         else:
             whose = f"vehicle type {vehicle.kind.mjcf.with_suffix('.py')}: MuJoCo rejects the MJCF with the changes of write_mjcf"
-        raise InputError(f"{whose} ({_error_text(error)}); correct it") from error
+        raise InputError(f"{whose} ({_error_text(error)}); correct the file") from error
 
 
 def _error_text(error: Exception) -> str:
@@ -164,8 +166,8 @@ def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
         for one in parts:
             if one.tendon not in tendons:
                 raise InputError(
-                    f"it has no tendon {one.tendon!r}, but this suspension has {one.part.words}; add the tendon, or omit this "
-                    "element"
+                    f"the model has no tendon {one.tendon!r}, but this suspension needs this tendon for "
+                    f"{one.part.words}; add the tendon, or omit {one.part.words}"
                 )
             _check_line(tendons[one.tendon], one)
         native.sense_velocities(spec, pairs)
@@ -191,8 +193,8 @@ def _check_line(tendon: Any, one: "SuspensionPart") -> None:
     own, slope = (float((tendon.damping if one.damps else tendon.stiffness)[0]), line.damping if one.damps else line.stiffness)
     if not abs(own - slope) <= SAME * max(abs(own), abs(slope)):
         raise InputError(
-            f"the stiffness or damping of the tendon {one.tendon!r} is {own:g}, but {one.parameter} is {slope:g}; a curve "
-            "needs equal values: let write_mjcf write the parameter, or omit the curve"
+            f"the tendon {one.tendon!r} has {one.parameter} = {own:g}, but the vehicle file gives {slope:g}, so a "
+            f"curve cannot replace the force of the tendon; let write_mjcf write {one.parameter}, or omit the curve"
         )
 
 
@@ -227,15 +229,18 @@ def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     actuators = len(_inputs(model))
     if actuators != len(vehicle.linear_model.inputs):
         raise InputError(
-            f"MJCF {kind.mjcf}: {actuators} actuators for {len(vehicle.linear_model.inputs)} inputs of linear_model; make "
-            "both numbers equal"
+            f"MJCF {kind.mjcf}: the model has {actuators} actuators, but linear_model has "
+            f"{len(vehicle.linear_model.inputs)} inputs; give one actuator for each input"
         )
     mocap = {model.body(i).name for i in range(model.nbody) if model.body(i).mocapid[0] >= 0}
     missing += [f"mocap body {wheel.road_body!r}" for wheel in kind.wheels if wheel.road_body not in mocap]
     joints = {model.joint(i).name for i in range(model.njnt)}
     missing += [f"joint {load.joint!r}" for load in kind.loads if load.joint not in joints]
     if missing:
-        raise InputError(f"MJCF {kind.mjcf}: it has no {', no '.join(missing)}, which the equations use; add what is missing")
+        raise InputError(
+            f"MJCF {kind.mjcf}: the model has no {', no '.join(missing)}, which the equations of motion need; add "
+            "what is missing to the model"
+        )
 
 
 def _inputs(model: mujoco.MjModel) -> tuple[str, ...]:
@@ -250,7 +255,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     actuators = _inputs(model)
     if actuators != vehicle.linear_model.inputs:
         raise InputError(
-            f"{where}: the actuators are {', '.join(map(repr, actuators))}, but linear_model has the inputs "
+            f"{where}: the model has the actuators {', '.join(map(repr, actuators))}, but linear_model has the inputs "
             f"{', '.join(map(repr, vehicle.linear_model.inputs))}; use the same names in the same order"
         )
     if model.nq != model.nv:
@@ -262,15 +267,17 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
             along = sensor.user[:count]
             if len(along) < count or not np.all(np.isfinite(along)) or not along.any():
                 raise InputError(
-                    f"{where}: sensor {part!r} has {count} component(s), but user = {short_repr(along)} is not a direction with "
-                    f'{count} component(s); give one, as in user="0 0 1", and <size nuser_sensor="3"/>'
+                    f"{where}: sensor {part!r} has {count} component(s), but user = {short_repr(along)} is not a direction "
+                    f'with {count} component(s); give a direction, as in user="0 0 1", with <size nuser_sensor="3"/>'
                 )
     data = mujoco.MjData(model)
     with quiet():
         mujoco.mj_forward(model, data)
     for what, values in {"acceleration": data.qacc, "sensor": data.sensordata}.items():
         if not np.all(np.isfinite(values)):
-            raise InputError(f"{where}: the {what}s at qpos = 0 are not finite; correct the MJCF or write_mjcf")
+            raise InputError(
+                f"{where}: the {what}s at qpos = 0 are not finite; correct the MJCF file, or the function write_mjcf"
+            )
     _check_hubs(vehicle, model)
 
 
@@ -297,8 +304,9 @@ def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
         moved = read(wheel.tyre_deflection) - rest
         if not abs(moved + LOWEST_HUB) < 1e-6:
             raise InputError(
-                f"MJCF {kind.mjcf}: if {wheel.road_body!r} rises by {LOWEST_HUB} m, {wheel.tyre_deflection!r} changes by "
-                f"{moved:.4g} m, not by -{LOWEST_HUB} m; place the hub higher, at least {LOWEST_HUB} m above the road at rest"
+                f"MJCF {kind.mjcf}: raising {wheel.road_body!r} by {LOWEST_HUB} m should change "
+                f"{wheel.tyre_deflection!r} by -{LOWEST_HUB} m, but changes it by {moved:.4g} m; place the hub "
+                f"higher, at least {LOWEST_HUB} m above the road"
             )
 
 

@@ -23,7 +23,9 @@ def check_name(where: str, name: str, taken: Collection[str]) -> None:
         InputError: the name is already used, is too long, or contains characters that are not allowed.
     """
     if name in taken or name == "all":
-        raise InputError(f"{where} the name {name!r} is reserved, as are passive, state and all; rename the controller")
+        raise InputError(
+            f"{where} the name {name!r} is reserved (reserved names are passive, state and all); rename the controller"
+        )
     if len(name.encode()) > LONGEST_NAME or not _is_name(name):
         raise InputError(
             f"{where} the controller's name {short_repr(name)} is not allowed; use letters, digits, '_' and '-', without '-' "

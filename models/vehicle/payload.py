@@ -68,7 +68,10 @@ def apply_payload(
     """
     several = any(isinstance(one, Mapping) for one in section.values())
     if several and (own := [key for key, one in section.items() if not isinstance(one, Mapping)]):
-        raise InputError(f"[payload] has {own[0]}, and sections of other masses; write {own[0]} in a section [payload.NAME], too")
+        raise InputError(
+            f"[payload] contains both {own[0]} and sections for other masses; move {own[0]} into a section "
+            "[payload.NAME] of its own"
+        )
     named = {f"[payload.{name}]": one for name, one in section.items()} if several else {"[payload]": section}
     model, load = kind.full_model(parameters), dict.fromkeys((HEAVE_LOAD.name, PITCH_LOAD.name), 0.0)
     heavier, laden_kind = dict(parameters), kind
@@ -79,9 +82,8 @@ def apply_payload(
     about_rest += [part.damping for part in kind.suspensions if isinstance(curves.get(part.damping), ForceSurface)]
     if about_rest:
         raise InputError(
-            f"[payload] changes the ride height, but the curve {about_rest[0]} starts from the ride height without payload; "
-            "omit "
-            "[payload], and give the curve, mass and inertias of the laden car"
+            f"[payload] changes the ride height, but the curve {about_rest[0]} starts from the ride height without "
+            "payload; so they do not fit; omit [payload], and give the curve, mass and inertias of the laden car"
         )
     for where, given in named.items():
         payload = read(where, PayloadSection, given)
@@ -153,7 +155,7 @@ def _limits_at_laden_rest(
         if short := next((side for side in SIDES if left[side] <= 0), ""):
             raise InputError(
                 f"[payload] moves {part.deflection} by {stretched:.3g} m, beyond the {short} stroke of "
-                f"{pair[short].stroke:g} m; give less mass, or another position"
+                f"{pair[short].stroke:g} m; give a smaller mass, or a different position of the payload"
             )
         some = [side for side in SIDES if math.isfinite(pair[side].stroke)]
         strokes = StopPair(*(left[side] if side in some else None for side in SIDES))

@@ -114,7 +114,7 @@ def read_performance(section: Mapping[str, Any], outputs: Sequence[str]) -> dict
             weights[name] = one.weight
             filters |= {name: one.shape} if one.shape is not None and one.weight else {}
         elif name in outputs:
-            raise InputError(f"{where} is the name of a signal; give the sum another name")
+            raise InputError(f"{where} is already the name of a signal; give the sum a different name")
         elif one.weight:
             sums.append(WeightedSum(name, one.weight, one.sum, one.shape))
     check_weights(weights, sums, outputs)
@@ -126,8 +126,11 @@ def check_weights(weights: Mapping[str, float], sums: Sequence[WeightedSum], out
     for name in weights:
         if name not in outputs:
             raise InputError(
-                f"[performance] unknown signal {name!r}; give one of {list_names(outputs)}, or {ROAD!r} for a filter of the "
-                "road, or a new name for a sum of signals"
+                f"[performance] unknown signal {name!r}; give one of {list_names(outputs)}. Give {ROAD!r} for a "
+                "filter of the road; for a sum of signals, give a table under a new name"
             )
     if not any(weights.values()) and not sums:
-        raise InputError(f"[performance] has no weight above 0; give a weight to at least one of {list_names(outputs)}")
+        raise InputError(
+            "[performance] has no weight above 0, so no signal counts; give a weight above 0 to at least one of "
+            f"{list_names(outputs)}"
+        )

@@ -433,8 +433,9 @@ class Vehicle(ShownResult):
         others = [name for name in named if name not in pushing]
         if pushing and others:
             raise InputError(
-                f"{list_names(pushing)} drive force actuators, and {list_names(others)} drive semi-active dampers, but this "
-                "command accepts only one kind; select controllers of one kind with --controller"
+                f"{list_names(pushing)} drive force actuators, and {list_names(others)} drive semi-active dampers, "
+                "but this command accepts only one kind of controller; use --controller to select controllers of one "
+                "kind"
             )
         return self.with_force_actuators if pushing else self
 
@@ -578,7 +579,8 @@ class Vehicle(ShownResult):
             parse_vehicle(text, folder=folder)
         except InputError as error:
             raise InputError(
-                f"--save {path}: the saved file could not be read ({error}); give a path in the folder of the vehicle file"
+                f"--save {path}: the vehicle file could not be read from this path ({error}); give a path in the "
+                "folder of the vehicle file"
             ) from error
         return text
 
@@ -670,8 +672,8 @@ class Vehicle(ShownResult):
         entry = self.controllers[name]
         if not entry.linear:
             raise InputError(
-                f"controller {name!r} is {entry.source.title}, which has no linear loop; give another controller, or drive "
-                "this one with sim.bump, sim.drive, sim.sweep, sim.campaign or sim.report"
+                f"controller {name!r} is {entry.source.title}, which has no linear loop; give a different controller, "
+                "or simulate this one with sim.bump, sim.drive, sim.sweep, sim.campaign or sim.report"
             )
         return entry
 

@@ -50,7 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(arguments)
     if options.verify is None and options.file is None:
-        raise InputError("the campaign file is missing; give a TOML file, or --verify with a folder of results")
+        raise InputError(
+            "the campaign file is missing; give a TOML file that describes the campaign, or --verify with a folder of results"
+        )
     for name in CHECKS if options.verify is None else RUNS:
         if name in options.given or (name == "subject_to" and options.subject_to):
             which = "needs --verify" if name in CHECKS else "cannot be combined with --verify"

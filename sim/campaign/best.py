@@ -152,11 +152,11 @@ def requested_best(campaign: Campaign, best: str | None, limits: Sequence[str], 
         metric, colon, number = text.rpartition(":")
         where = f"--subject-to {text}"
         if not colon:
-            raise InputError(f"{where} has no limit; {GIVE}")
+            raise InputError(f"{where} states no limit; {GIVE}")
         _check_metric("--subject-to", metric, campaign)
         unit = next(_known_metrics(vehicle, campaign)[metric][0].unit.removeprefix("-") for vehicle in campaign.vehicles.values())
         if metric in read:
-            raise InputError(f"{where}: {metric} already has a limit; give only the smaller one")
+            raise InputError(f"{where}: {metric} already has a limit; give only the smaller limit")
         read[metric], units[metric] = setting(f"--subject-to {metric}", number, unit or "1"), unit
     if save is not None:
         _check_save(campaign, save)
@@ -187,12 +187,18 @@ def _check_save(campaign: Campaign, path: Path) -> None:
             read the saved file.
     """
     if len(campaign.vehicles) > 1:
-        raise InputError(f"--save needs a campaign with one vehicle, not {len(campaign.vehicles)}; omit --save, or list one")
+        raise InputError(
+            f"--save needs a campaign with one vehicle, but this campaign has {len(campaign.vehicles)}; omit --save, or "
+            "list only one vehicle"
+        )
     ((name, vehicle),) = campaign.vehicles.items()
     for controller in campaign.variants[name]:
         check_name("--save:", controller + SUFFIX, ())
         if controller + SUFFIX in vehicle.controllers:
-            raise InputError(f"--save: {name} already has a controller {controller + SUFFIX!r}; rename or remove it")
+            raise InputError(
+                f"--save: {name} already has a controller {controller + SUFFIX!r}, which --save would add; rename or "
+                "remove this controller"
+            )
     with_sections(vehicle.text_for(path), [])
 
 

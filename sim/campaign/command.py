@@ -118,7 +118,9 @@ def run_part(options: argparse.Namespace) -> int:
     """
     part, campaign, folder = parts.part_of(options.part), _read(options), _folder(options)
     if (folder / NAME).exists():
-        raise InputError(f"{folder} contains the whole campaign; omit --part, or give another folder with --results")
+        raise InputError(
+            f"{folder} already contains the whole campaign, not a part; omit --part, or give a different folder with --results"
+        )
     parts.check_overlap(folder, sorted([*parts.there(folder), part]))
     stage = Stages("designs", "runs")
     with _cluster(options), made_folder(folder, "results", "give another folder with --results"):
@@ -160,7 +162,9 @@ def _read(options: argparse.Namespace) -> Campaign:
             after = "the straight road after its last point lowers every rms value"
             complain(f"remark: road {road.text!r} is shorter than a run of {lasts:g} s at {fastest:g} m/s; {after}")
     if options.ray is not None and "workers" in options.given:
-        raise InputError("--workers sets threads of this machine, but --ray uses the workers of a cluster; omit one of the two")
+        raise InputError(
+            "--workers sets the number of threads on this machine, but --ray uses the workers of a cluster; omit one of the two"
+        )
     return campaign
 
 
@@ -210,7 +214,7 @@ def _merge(campaign: Campaign, folder: Path) -> None:
     parts.check_complete(folder, some)
     begun, used = read_manifest(folder / PARTS, ELSEWHERE), _versions()
     if begun is None:
-        raise InputError(f"{folder / PARTS} contains no record of its campaign; {ELSEWHERE}")
+        raise InputError(f"{folder / PARTS} contains parts, but no record of their campaign; {ELSEWHERE}")
     begun.check(folder / PARTS, campaign.digest, used)
     for part in some:
         parts.check(folder, part, begun, campaign.digest, used)
@@ -261,7 +265,9 @@ def _verify_runs(options: argparse.Namespace, folder: Path) -> tuple[int, dict[s
             remark = f"the campaign file {file} {now}; the copy in the folder of results is used"
     manifest.check(folder, campaign.digest, _versions(), FINISHED_ADVICE)
     if manifest.part:
-        raise InputError(f"--verify {folder}: this folder contains only part {manifest.part} of a campaign; merge the parts")
+        raise InputError(
+            f"--verify {folder}: this folder contains only part {manifest.part} of a campaign; merge all parts with --merge first"
+        )
     plan, store = _plan(campaign, manifest, folder)
     stage = Stages("rows", "repeated runs")
     stage("rows")
@@ -284,7 +290,7 @@ def _begin_manifest(campaign: Campaign, folder: Path, file: Path, exported: Path
     """
     count = Plan(campaign, {}).count
     if count > MOST_RUNS:
-        raise InputError(f"the campaign has {count} runs, but at most {MOST_RUNS} are allowed; list fewer seeds or samples")
+        raise InputError(f"the campaign has {count} runs, but at most {MOST_RUNS} are allowed; give fewer seeds or samples")
     used, manifest = _versions(), read_manifest(folder) if folder.exists() else None
     if manifest is None:
         gains = gains_of(design_controllers(campaign, exported))

@@ -112,5 +112,6 @@ def check_code(gains: Gains, exported: Path) -> None:
     codes = [entry["code"]["manifest_sha256"] for some in gains.values() for entry in some.values() if "code" in entry]
     if sha256(read_text(exported / MANIFEST, "manifest", "give a folder that roadproof synth --export wrote")) not in codes:
         raise InputError(
-            f"--as {exported}: this campaign was started without this exported controller; give a new folder with --results"
+            f"--as {exported}: the campaign in this folder was started without this exported controller; give a new "
+            "folder with --results"
         )

@@ -98,8 +98,8 @@ class Manifest:
         for name, version in versions.items():
             if self.versions.get(name) != version:
                 raise InputError(
-                    f"the campaign in {folder} was started with {name} {self.versions.get(name)}, but {version} is installed, so "
-                    f"numbers could differ; install {self.versions.get(name)}, or {instead}"
+                    f"the campaign in {folder} was started with {name} {self.versions.get(name)}, but {version} is "
+                    f"installed now, so its numbers could differ; install {self.versions.get(name)}, or {instead}"
                 )
 
 
@@ -120,7 +120,7 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
             raise InputError(f"the campaign in {folder} was started by Roadproof 0.1; finish it with Roadproof 0.1, or {instead}")
     if not path.exists():
         if (folder / PARTS).exists():
-            raise InputError(f"{folder} contains parts of a campaign; merge them with --merge, or {instead}")
+            raise InputError(f"{folder} contains parts of a campaign; merge the parts with --merge, or {instead}")
         others = sorted(other.name for other in folder.iterdir() if other.name != LOCK and not other.match(PARTIAL_FILES))
         if others:
             raise InputError(f"{folder} contains no campaign, but other files such as {others[0]}; {instead}")
@@ -129,7 +129,9 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
         whole = {"earlier": True, "part": "", **json.loads(path.read_text(encoding="utf-8"))}
         names = [field.name for field in fields(Manifest)]
         if not {*names} <= {*whole}:
-            raise InputError(f"the file lacks some of the entries {', '.join(names)}; restore this file, or {instead}")
+            raise InputError(
+                f"the record of the campaign lacks some of the entries {', '.join(names)}; restore this file, or {instead}"
+            )
         return Manifest(**{name: whole[name] for name in names})
 
 
@@ -161,8 +163,8 @@ def lock_folder(folder: Path) -> Iterator[None]:
             # A finished campaign is only read. Reading requires no lock, and some network file systems do not support locks.
             if isinstance(error, filelock.Timeout) or not (folder / RESULTS).exists():
                 raise InputError(
-                    f"another campaign is running in {folder}, or this folder cannot be locked ({error.strerror or 'locked'}); "
-                    "wait for it, or give another folder with --results"
+                    f"another campaign is running in {folder}, or this folder cannot be locked "
+                    f"({error.strerror or 'locked'}); wait for its end, or give a different folder with --results"
                 ) from error
         try:
             for left in folder.glob(PARTIAL_FILES):

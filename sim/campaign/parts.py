@@ -78,8 +78,9 @@ def check_overlap(folder: Path, parts: Sequence[CampaignPart]) -> None:
     """
     if parts and parts[0].of != parts[-1].of:
         raise InputError(
-            f"{folder / PARTS}: the parts {parts[0]} and {parts[-1]} of this campaign overlap; use the same number of parts "
-            "in each run, or give another folder with --results"
+            f"{folder / PARTS}: the parts {parts[0]} and {parts[-1]} of this campaign overlap, because they divide it "
+            "into different numbers of parts; use the same number in each run, or give a different folder with "
+            "--results"
         )
 
 
@@ -116,7 +117,10 @@ def check(folder: Path, part: CampaignPart, plan: Manifest, digest: str, version
     own = part.folder(folder)
     manifest = read_manifest(own, AGAIN)
     if manifest is None or manifest.part != str(part):
-        raise InputError(f"{own} does not contain part {part}, but {'nothing' if manifest is None else manifest.part}; {AGAIN}")
+        raise InputError(
+            f"{own} should contain part {part} of the campaign, but contains "
+            f"{'nothing' if manifest is None else manifest.part}; {AGAIN}"
+        )
     manifest.check(own, digest, versions, AGAIN)
     if manifest.controllers != plan.controllers:
         raise InputError(f"part {part} was simulated with gains that differ from the gains in {folder / PARTS / NAME}; {AGAIN}")
@@ -129,13 +133,15 @@ def check_complete(folder: Path, parts: Sequence[CampaignPart]) -> None:
         InputError: no part exists, or some parts are missing or unfinished.
     """
     if not parts:
-        raise InputError(f"--merge: {folder} contains no parts of a campaign; run them with --part, as in --part 1/40")
+        raise InputError(
+            f"--merge: {folder} contains no finished part of a campaign; first run each part with --part, as in --part 1/40"
+        )
     of = parts[0].of
     if left := unfinished_parts(folder, of):
         begun = {part.number for part in parts}
         kinds = {"missing": [one for one in left if one not in begun], "not finished": [one for one in left if one in begun]}
         found = [f"{parts_text(some, of)} {'is' if len(some) == 1 else 'are'} {kind}" for kind, some in kinds.items() if some]
-        raise InputError(f"{folder}: {' and '.join(found)}; run these parts with --part, and merge again")
+        raise InputError(f"{folder}: {' and '.join(found)}; run these parts with --part, then merge all parts again")
 
 
 def remove(folder: Path) -> None:

@@ -83,7 +83,10 @@ class Sampler:
                 raise InputError(f"{where} {short_repr(name)} cannot be sampled; sample one of {list_names(own)}")
             value = own[name]
             if relative and value is None:
-                raise InputError(f"{where} the file gives no {name}, so its distribution cannot be relative; omit relative")
+                raise InputError(
+                    f"{where} the vehicle file gives no value of {name}, so the distribution cannot be relative to this "
+                    "value; omit relative"
+                )
             scales[name] = value if relative and value is not None else 1.0
             for end in ends:
                 with error_in(f"{where} the distribution of {name} contains a value that is not allowed:"):
@@ -123,8 +126,8 @@ def read_samples(
     given = read("[samples]", SamplesSection, section)
     if not (given.parameters or given.controllers) or given.parameters == {} or given.controllers == {}:
         raise InputError(
-            "[samples] lists nothing to sample; write [samples.parameters] with NAME = { uniform = [low, high] }, or "
-            "[samples.controllers.NAME] with keys that the law of controller NAME has"
+            "[samples] names no quantity to sample; write [samples.parameters] with NAME = "
+            "{ uniform = [low, high] }, or [samples.controllers.NAME] with keys of this controller's law"
         )
     sampler = Sampler(given.count, given.method, given.seed)
     for name in vehicles if given.parameters else ():
@@ -171,7 +174,10 @@ def _variants(controller: str, table: Any, name: str, vehicle: Vehicle, sampler:
     """Returns the variants of a control law: for each variant, the sampled values by key."""
     where = f"[samples.controllers.{controller}]"
     if not isinstance(table, dict) or not table:
-        raise InputError(f"{where} samples nothing; give a key of the law, as in sky_damping = {{ uniform = [500.0, 4000.0] }}")
+        raise InputError(
+            f"{where} gives no key of the law to sample; add a key with its distribution, as in sky_damping = {{ "
+            "uniform = [500.0, 4000.0] }"
+        )
     where += f" vehicle {name!r}:"
     with error_in(where):
         own = law_values(vehicle, controller)
@@ -194,7 +200,9 @@ def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, t
         raise InputError(f"{where} = {short_repr(entry)} is not a distribution; {give}")
     a, b = (SI("" if relative else unit, low=-1e12, high=1e12).number(f"{where}: {shapes[0]}", value) for value in values)
     if (a >= b) if shapes[0] == "uniform" else (b <= 0):
-        raise InputError(f"{where}: {shapes[0]} = [{a:g}, {b:g}] has no width; give low < high, or a standard deviation above 0")
+        raise InputError(
+            f"{where}: {shapes[0]} = [{a:g}, {b:g}] covers no range; give low below high, or a standard deviation above 0"
+        )
     from scipy import stats  # imported here because the import takes half a second
 
     if shapes[0] == "uniform":

@@ -130,8 +130,8 @@ class Store:
             table, at = store.read(self.schema.names), 0
             if not _are_runs(table, store.share):
                 raise InputError(
-                    f"results {store.results}: this file does not contain the rows of this part; remove the file, and run the "
-                    "part again"
+                    f"results {store.results}: this file does not contain the results of this part of the campaign; "
+                    "remove the file, and run the part again"
                 )
             for start, stop in store.share:
                 pieces[start] = table.slice(at, stop - start).replace_schema_metadata(self.schema.metadata)
@@ -174,6 +174,7 @@ def _read(path: Path, names: Sequence[str], expected: Sequence[str] = ()) -> pa.
         other = {*expected, *names} - {*file.schema_arrow.names}
         if other:
             raise InputError(
-                f"another version of Roadproof wrote these results, without columns {first_few(sorted(other))}; {ELSEWHERE}"
+                "a different version of Roadproof wrote these results, without the columns  "
+                f"{first_few(sorted(other))}; {ELSEWHERE}"
             )
         return file.read(list(names)).select(list(names))

@@ -38,7 +38,10 @@ def verify(plan: Plan, store: Store, gains: Gains, count: int, seed: int, progre
         InputError: the campaign is not finished.
     """
     if not store.finished:
-        raise InputError(f"{store.folder}: {store.left} of {plan.count} runs are not finished; run the campaign to its end first")
+        raise InputError(
+            f"{store.folder}: {store.left} of {plan.count} runs of the campaign are not finished; run the campaign to its "
+            "end first"
+        )
     try:
         table = store.read(store.schema.names)
     except InputError as error:

@@ -58,7 +58,7 @@ def cluster(address: str) -> Iterator[None]:
     try:
         import ray  # pyright: ignore[reportMissingImports] - an extra
     except ImportError as error:
-        raise InputError("--ray needs Ray; install it with: pip install -e '.[cluster]'") from error
+        raise InputError("--ray needs the package Ray; install Ray with: pip install -e '.[cluster]'") from error
     if address not in (HERE, "auto"):
         _check_address(address)
     # Workers on this machine import Roadproof from its source folder; on other machines, Roadproof must be installed.
@@ -78,7 +78,7 @@ def _check_address(address: str) -> None:
     """Checks that a server answers at an address, because Ray itself would try to connect for minutes."""
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not (colon and host and port.isdecimal() and 0 < int(port) < 2**16):
-        raise InputError(f"--ray {address}: this is not an address; give HOST:PORT of the cluster's head, or auto")
+        raise InputError(f"--ray {address}: this is not an address; give HOST:PORT of the cluster's head node, or auto")
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER).close()
     except OSError as error:

@@ -185,7 +185,8 @@ def check_view(options: argparse.Namespace) -> None:
         return
     if options.logs is None:
         raise InputError(
-            f"{'--open' if options.open else '--serve'} shows the recording, but --no-logs writes no recording; omit one option"
+            f"{'--open' if options.open else '--serve'} shows the recording, but --no-logs writes no recording; omit "
+            "one of these options"
         )
     if options.open:
         FEATURES.load("viewers").check_display()

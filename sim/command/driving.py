@@ -165,12 +165,18 @@ def _check_variants(options: Namespace, vehicles: Mapping[str, Vehicle]) -> None
             raise InputError(f"--without {part} is given twice; give each part once")
         if all(vehicle.without(part) is vehicle for vehicle in vehicles.values()):
             raise InputError(
-                f"--without {part}: no vehicle file has this part in [limits], [implementation] or [actuators]; omit the option"
+                f"--without {part}: no vehicle file gives this part in [limits], [implementation] or [actuators]; "
+                f"omit --without {part}"
             )
     if options.exported is not None and (len(vehicles) > 1 or options.without):
-        raise InputError("--as needs one vehicle with its whole implementation; omit --without, and give one --vehicle")
+        raise InputError(
+            "--as simulates exported code, which needs one vehicle with its whole implementation; omit --without, and "
+            "give only one --vehicle"
+        )
     if len(vehicles) > 1 and (options.open or options.serve):
-        raise InputError("--open and --serve show the recording of one vehicle, but several are given; give one --vehicle")
+        raise InputError(
+            "--open and --serve show the recording of one vehicle, but several vehicles are given; give only one --vehicle"
+        )
 
 
 def _drive_vehicle(options: Namespace, vehicle: Vehicle, title: str, names: list[str], road: Road, time: Array) -> VehicleRuns:

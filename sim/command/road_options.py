@@ -185,7 +185,7 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
     choice = FEATURES.load("roads by name").choose_road(road_text(options))
     choice = replace(choice, loads=(*choice.loads, *map(FEATURES.load("loads by name").choose_load, options.loads)))
     if "seed" in options.given and not choice.random:
-        raise InputError(f"--seed selects a random road, but {choice.text!r} is not random; omit --seed")
+        raise InputError(f"--seed selects a random road, but the road {choice.text!r} is not random; omit --seed")
     if "speed" in options.given and isinstance(choice.road, FEATURES.load("rigs").Rig):
         raise InputError("--speed does not apply to a test rig, on which the vehicle does not move; omit --speed")
     road = choice.build(vehicle, options.speed, options.seed, options.speed * options.duration)
@@ -239,12 +239,14 @@ def road_text(options: argparse.Namespace) -> str:
     if (start := vars(options)["from"]) is not None:
         road, loads = split_off(options.road or "")
         if (named_file(road) or ("", ""))[1] != "profile":
-            raise InputError("--from sets the start on a road from a file; give a file with --road, or omit --from")
+            raise InputError("--from applies only to a road that is read from a file; give a file with --road, or omit --from")
         return PLUS.join([f"{road}:from={start!r}", *loads])
     if options.road_class is None:
         return options.road or ("flat" if options.loads and "seed" not in options.given else "iso8608:class=C")
     if options.road is not None:
-        raise InputError("--class and --road exclude each other; omit one (--class C means --road iso8608:class=C)")
+        raise InputError(
+            "--class and --road cannot be combined, because --class C means --road iso8608:class=C; omit one of the two"
+        )
     return f"iso8608:class={options.road_class.upper()}"
 
 

@@ -32,7 +32,10 @@ def check_display() -> None:
         InputError: no display is available.
     """
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise InputError("--open needs a screen, but DISPLAY and WAYLAND_DISPLAY are not set; use --serve, and open its page")
+        raise InputError(
+            "--open needs a screen, but DISPLAY and WAYLAND_DISPLAY are not set; use --serve, and open the printed page "
+            "in a browser"
+        )
 
 
 def open_viewer(recording: Path) -> None:
@@ -53,8 +56,8 @@ def open_viewer(recording: Path) -> None:
             if process.wait(FAILING_TIME):  # an exit code of 0 means that the user closed the window immediately
                 said.seek(0)
                 raise InputError(
-                    f"--open: Rerun's window did not open ({_reason(said.read())}); use --serve, and open the printed page. "
-                    f"The recording is {recording}"
+                    f"--open: Rerun's window did not open ({_reason(said.read())}); use --serve, and open the printed "
+                    f"page in a browser. The recording is {recording}"
                 )
 
 
@@ -86,7 +89,7 @@ def serve_viewer(recording: Path) -> None:
         _wait_until_up(process, f"http://{LOOPBACK}:{page}")
         print(f"serving http://{LOOPBACK}:{page}?url={source}   press Ctrl-C to stop", file=sys.stderr, flush=True)
         process.wait()
-        raise InputError(f"Rerun's web viewer ended unexpectedly; start it with {shell_line(command)}")
+        raise InputError(f"Rerun's web viewer ended unexpectedly; start the viewer again with {shell_line(command)}")
     except KeyboardInterrupt:
         return
     finally:

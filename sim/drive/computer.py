@@ -126,8 +126,8 @@ class Computer:
         needed = len(self._each), self._actuators.size if self.driver.requests == "commands" else self._actuators.forces
         if shape != needed:
             raise InputError(
-                f"driver {type(self.driver).__name__}: step returns {self.driver.requests} of shape {shape}; expected {needed}, "
-                "a row per run"
+                f"driver {type(self.driver).__name__}: step returns {self.driver.requests} of shape {shape}; return "
+                f"the shape {needed}, with one row for each run"
             )
 
 

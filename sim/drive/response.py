@@ -74,7 +74,10 @@ class Response(ShownResult):
         check_fields(self)
         expected = (len(self.time), len(self.signals))
         if self.values.shape[-2:] != expected:
-            raise InputError(f"the last axes of values are {self.values.shape[-2:]}, but time and signals need {expected}")
+            raise InputError(
+                f"the last axes of values are {self.values.shape[-2:]}, but the numbers of times and signals need "
+                f"{expected}; give values of this shape"
+            )
 
     @property
     def summary(self) -> Document:
@@ -110,7 +113,9 @@ class Response(ShownResult):
             InputError: there is no run with this index.
         """
         if self.values.ndim < 3 or not -len(self.values) <= index < len(self.values):
-            raise InputError(f"index = {index} selects no run from values of shape {self.values.shape}; index the first axis")
+            raise InputError(
+                f"index = {index} selects no run from values of shape {self.values.shape}; give an index of the first axis"
+            )
         before = {name: values[index] for name, values in self.before.items()}
         return Response(self.time, self.signals, self.values[index], before)
 
@@ -240,7 +245,10 @@ class Response(ShownResult):
 
     def _check_single(self) -> None:
         if self.values.ndim != 2:
-            raise InputError(f"the response contains runs of shape {self.values.shape[:-2]}; select one, as in response.run(0)")
+            raise InputError(
+                f"the response contains several runs (shape {self.values.shape[:-2]}), but one is needed; select one run, "
+                "as in response.run(0)"
+            )
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # signals of an unstable loop may overflow

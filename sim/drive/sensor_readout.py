@@ -120,7 +120,7 @@ def state_at_start(vehicle: Vehicle, model: mujoco.MjModel, readout: Readout) ->
         if np.abs(far).max(initial=0.0) < CLOSEST:
             return np.concatenate([motion, state[len(rows) :], np.zeros(model.na)])
         motion = motion + inverse @ far
-    raise InputError("[start]: the vehicle has no position in which all these deflections occur; give smaller deflections")
+    raise InputError("[start]: the vehicle has no position with all these deflections at the same time; give smaller deflections")
 
 
 def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequence[mujoco.MjModel] = ()) -> Batch:

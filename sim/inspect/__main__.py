@@ -42,7 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     kinds, paths, alone = options.kinds, options.logs, len(options.logs) == 1
     if kinds is not None and not kinds.is_dir():
-        raise InputError(f"--kinds {kinds}: this folder does not exist; give a folder with the .py and .xml of a vehicle type")
+        raise InputError(
+            f"--kinds {kinds}: this folder does not exist; give a folder with the .py and .xml files of a vehicle type"
+        )
     if options.csv is not None and not alone:
         raise InputError(f"--csv writes the signals of one log, but {len(paths)} are given; give one log, or omit --csv")
     read = [file for ending in ("py", "xml") for file in kinds.glob(f"*.{ending}")] if kinds is not None else []

@@ -126,8 +126,8 @@ def read_log(path: Path) -> Log:
         log = Log(path, metadata[PACKAGE], attachments, tuple(runs), len(records[Message]))
         if (written := log.metadata.get("format")) != str(FORMAT):
             raise InputError(
-                f"the log has format {written} of Roadproof {log.versions.get('roadproof', 'in an early version')}, but this "
-                f"version reads format {FORMAT}; use the version that wrote the log"
+                f"the log has format {written} of Roadproof {log.versions.get('roadproof', 'in an early version')}, "
+                f"but this version reads format {FORMAT}; use the version of Roadproof that wrote the log"
             )
     return log
 

@@ -53,7 +53,9 @@ def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
     """
     vehicle_type = log.metadata.get("vehicle_type")
     if kinds is None and vehicle_type is not None and vehicle_type not in kind_names():
-        raise InputError(f"the vehicle type {vehicle_type} is not built in; give --kinds with the folder of its .py and .xml")
+        raise InputError(
+            f"the vehicle type {vehicle_type} is not built in; give --kinds with the folder of the type's .py and .xml files"
+        )
     text = log.attachments["vehicle.toml"].decode("utf-8", errors="replace")
     return parse_vehicle(text, source="vehicle.toml in the log", folder=kinds)
 

@@ -217,8 +217,8 @@ def _pulls(
         motion.rate(state + STEP * 1j * rates, heights, inputs, along, loads)
         if not np.iscomplexobj(seen[-1][1]):
             raise InputError(
-                "`motion` of this vehicle type discards the imaginary part of states, which an inerter needs; keep the "
-                "imaginary part"
+                "`motion` of this vehicle type discards the imaginary part of states, but the equations of an "
+                "inerter need this part; keep the imaginary part in `motion`"
             )
         return np.imag(seen[-1][1]) / STEP
 

@@ -62,7 +62,7 @@ def write_reports(options: argparse.Namespace, child_processes: bool) -> int:
         raise InputError(f"--one-page and --{given[0].replace('exported', 'as')} cannot be combined; omit one of them")
     subjects = _subjects(options)
     if len(subjects) > 1 and options.exported is not None:
-        raise InputError("--as works with one vehicle, but several are given; give one --vehicle")
+        raise InputError("--as works with one vehicle, but several vehicles are given; give only one --vehicle")
     outputs = _outputs(options, subjects)
     for title, (vehicle, _) in subjects.items():
         check_outputs(outputs[title], [*vehicle.files, *named_files((options.road, *options.loads))], options.json)

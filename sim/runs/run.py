@@ -108,9 +108,9 @@ def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
         if fastest and (rate := max(fastest.values())) * largest > RK4_REACH:
             name = max(fastest, key=lambda one: fastest[one])
             raise InputError(
-                f"timestep = {timestep} s is too large: {above}, because a state of [parts.{name}] has a rate of {rate:.4g} 1/s"
-                f"{' at 2 m/s' * (rate > slow.get(name, 0.0))}; "
-                f"give a smaller timestep, or change [parts.{name}] such that the element is slower"
+                f"timestep = {timestep} s is too large: {above}, because a state of [parts.{name}] has a rate of "
+                f"{rate:.4g} 1/s{' at 2 m/s' * (rate > slow.get(name, 0.0))}; give a smaller timestep, or change "
+                f"[parts.{name}] so that the element is slower"
             )
         units = ", and check that masses are in kg, stiffness in N/m and damping in N s/m"
         if improbable := remarks(known_quantities(vehicle)):
@@ -120,7 +120,10 @@ def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
     if duration < 2 * timestep:
         raise InputError(f"duration = {duration} s is shorter than two timesteps of {timestep} s; give a longer duration")
     if duration / timestep > MOST_SAMPLES:
-        raise InputError(f"duration / timestep = {duration / timestep:.2g} is too large; give at most {MOST_SAMPLES} samples")
+        raise InputError(
+            f"duration / timestep = {duration / timestep:.2g} samples are too many; give a shorter duration or a larger "
+            f"timestep, for at most {MOST_SAMPLES} samples"
+        )
     return np.arange(round(duration / timestep) + 1) * timestep
 
 

@@ -107,8 +107,8 @@ def check_band(low: float, high: float) -> None:
     """Raises an InputError unless 0 <= low < high [rad/s]."""
     if not 0 <= low < high:
         raise InputError(
-            f"low = {short_repr(low)} to high = {short_repr(high)} rad/s is not a frequency band; give low from 0 upwards, and "
-            "high above low"
+            f"low = {short_repr(low)} to high = {short_repr(high)} rad/s is not a frequency band; give low of at "
+            "least 0, and high above low"
         )
 
 
@@ -118,8 +118,8 @@ def _gain(loop: Plant, low: float, high: float) -> Gain:
         return Gain(loop, low, high)
     if low * loop.dt >= np.pi:
         raise InputError(
-            f"low = {low:g} rad/s is not below the Nyquist frequency, which is {np.pi / loop.dt:g} rad/s for a sample period of "
-            f"{loop.dt:g} s; give a lower frequency"
+            f"low = {low:g} rad/s is not below the Nyquist frequency, which is {np.pi / loop.dt:g} rad/s for a sample "
+            f"period of {loop.dt:g} s; give a smaller low"
         )
     try:
         mapped = continuous_loop(loop)

@@ -99,7 +99,8 @@ def signals(plant: Plant, Cs: Array, Ds: Array) -> tuple[Array, Array]:
     through = real_matrix(Ds, "Ds", f"({len(C_signals)}, {m})")
     if not len(C_signals) or C_signals.shape[1] != n or through.shape != (len(C_signals), m):
         raise InputError(
-            f"Cs has shape {C_signals.shape} and Ds {through.shape}; expected (p, {n}) and (p, {m}), a row for each of p signals"
+            f"Cs has shape {C_signals.shape} and Ds {through.shape}; give the shapes (p, {n}) and (p, {m}), with one "
+            "row for each of the p signals"
         )
     return C_signals, through
 

@@ -88,7 +88,7 @@ def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[
         if key not in CLAIMS + PROOFS:
             raise InputError(f"unknown key {key!r} in a certificate; known: {list_names(CLAIMS + PROOFS)}")
         if record[key] is None:
-            raise InputError(f"{key} in a certificate is null; delete this key, or save the controller again")
+            raise InputError(f"{key} in a certificate has the value null; delete this key, or save the controller again")
     n = len(plant.A)
     for key in ("norm", "peak_frequency", "lower_bound", SAMPLED_NORM, SAMPLED_BOUND):
         _number(record, key)
@@ -117,7 +117,10 @@ def read_sampled_bound(record: Mapping[str, Any], problem: "SampledDataProblem")
     level, proof = _number(record, SAMPLED_BOUND), record.get(SAMPLED_PROOF, {})
     assert level is not None, "it is claimed"
     if not isinstance(proof, Mapping) or any(key not in LOWER_PROOFS for key in proof):
-        raise InputError(f"{SAMPLED_PROOF} = {short_repr(proof)} in a certificate is not a table of {list_names(LOWER_PROOFS)}")
+        raise InputError(
+            f"{SAMPLED_PROOF} = {short_repr(proof)} in a certificate is not a table with {list_names(LOWER_PROOFS)}; save "
+            "the controller again"
+        )
     plant = problem.at(level)
     if plant is None:
         return SampledBound(level, LowerBound(0.0), inside=True)
@@ -177,7 +180,7 @@ def _number(record: Mapping[str, Any], key: str) -> float | None:
     zero = key in MAY_BE_ZERO and number and value == 0
     if not number or not (zero or SMALLEST <= value <= LARGEST):
         raise InputError(
-            f"{key} = {short_repr(value)} in a certificate must be from {SMALLEST:g} to {LARGEST:g}; save the controller again"
+            f"{key} = {short_repr(value)} in a certificate is not between {SMALLEST:g} and {LARGEST:g}; save the controller again"
         )
     return float(value)
 
@@ -193,7 +196,8 @@ def _matrix(record: Mapping[str, Any], key: str, shape: tuple[int, int] | None =
     if matrix.ndim != 2 or not np.all(np.abs(matrix) <= LARGEST) or (shape is not None and matrix.shape != shape):
         expected = f" of shape {shape}" if shape else ""
         raise InputError(
-            f"{key} = {short_repr(value)} in a certificate is not a matrix{expected} of finite numbers up to {LARGEST:g}"
+            f"{key} = {short_repr(value)} in a certificate is not a matrix{expected} of finite numbers up to "
+            f"{LARGEST:g}; save the controller again"
         )
     return matrix
 
@@ -223,7 +227,5 @@ def _dual_certificate(record: Mapping[str, Any], key: str) -> DualCertificate | 
         value = {}
     X, eta = _matrix(value, "X"), _number(value, "eta")
     if X is None or eta is None or X.shape[0] != X.shape[1]:
-        raise InputError(
-            f"{key} = {short_repr(value)} in a certificate must have a square X and an eta; save the controller again"
-        )
+        raise InputError(f"{key} = {short_repr(value)} in a certificate has no square X, or no eta; save the controller again")
     return DualCertificate(X, eta)

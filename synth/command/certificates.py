@@ -20,7 +20,10 @@ def write_certificates(folder: Path, vehicle: Vehicle, controllers: Sequence[Con
     """
     texts = certificate_texts(vehicle, controllers)
     if not texts:
-        raise InputError(f"--certificates {folder}: no controller has measured signals; give a controller with measured signals")
+        raise InputError(
+            f"--certificates {folder}: none of the selected controllers measures a signal, so there is nothing to "
+            "certify; select a controller that measures signals"
+        )
     with made_folder(folder, OPTION), together():
         for name, text in texts.items():
             with whole_file(folder / name, OPTION) as part:

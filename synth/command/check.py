@@ -31,7 +31,9 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
     vehicle = designer.vehicle
     gains = [name for name, entry in vehicle.controllers.items() if entry.law is not None]
     if not gains:
-        raise InputError(f"{vehicle.source} contains no gain or law to check; design a controller and save it with --save")
+        raise InputError(
+            f"{vehicle.source} contains no gain or law to check; first design a controller, and save the controller with --save"
+        )
     for name in names or ():
         if name in vehicle.controller_names and name not in gains:
             raise InputError(f"--check: {name!r} has no gain or law in {vehicle.source}; give one of {list_names(gains)}")

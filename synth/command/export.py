@@ -68,7 +68,7 @@ def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[
     """Writes the folder of one controller. Returns the contents of the folder, both for JSON and as lines of text."""
     folder: Path = options.export
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"--export {folder} exists and is not empty; give another folder, or remove this one")
+        raise InputError(f"--export {folder} exists and is not empty; give a different folder, or remove this folder")
     _, law, texts = _law(vehicle, options, str)
     with (
         made_folder(folder.parent, "export"),
@@ -102,7 +102,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     from synth.controller.export.matlab import mat_file, script, struct_names
 
     if "numbers" in options.given:
-        raise InputError("--numbers is for C code, but a MATLAB file always has double numbers; omit --numbers")
+        raise InputError("--numbers applies only to C code, but a MATLAB file always contains double numbers; omit --numbers")
     linear = [name for name in vehicle.linear_names if name != "passive"]
     own = [name for name in linear if name in vehicle.controllers]
     left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].request.preview]
@@ -112,9 +112,15 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     )
     other = [name for name in names if name not in linear]
     if other:
-        raise InputError(f"controller {other[0]!r} has no matrices for a MATLAB file; give a linear one: {list_names(linear)}")
+        raise InputError(
+            f"controller {other[0]!r} has no matrices that a MATLAB file could contain; give a linear controller:  "
+            f"{list_names(linear)}"
+        )
     if not names:
-        raise InputError(f"{vehicle.source} contains no linear controller to write to a MATLAB file; add one to [controllers]")
+        raise InputError(
+            f"{vehicle.source} contains no linear controller that a MATLAB file could contain; add a linear controller to "
+            "[controllers]"
+        )
     designer = Designer(vehicle, search=False)
     controllers: list[Controller] = [designer.design(name) for name in names]
     file: Path = options.export
@@ -146,7 +152,7 @@ def _fmu(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     from synth.controller.export.fmu import fmu
 
     if options.part != "controller" and "numbers" in options.given:
-        raise InputError(f"--numbers is for C code, but --part {options.part} contains linear equations; omit --numbers")
+        raise InputError(f"--numbers applies only to C code, but --part {options.part} exports linear equations; omit --numbers")
     parts = {"controller": _controller, "vehicle": _vehicle, "loop": _loop}
     model, resources, about = parts[options.part](vehicle, options)
     with whole_file(options.export, "export") as beside:
@@ -178,7 +184,10 @@ FmuContent = tuple[FmuModel, Mapping[str, str], str]
 def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
     """Returns the content of an FMU that contains a controller. The FMU includes the files that are exported to a folder."""
     if options.numbers not in ("double", "float"):
-        raise InputError(f"an FMU cannot have {options.numbers} numbers: its variables are floating point; give double or float")
+        raise InputError(
+            f"an FMU cannot have {options.numbers} numbers, because its variables are floating-point numbers; give double "
+            "or float"
+        )
     saved, law, texts = _law(vehicle, options, lambda plain: plain if plain.startswith("law_") else f"law_{plain}")
     return law_model(saved, law, sha256(texts[CERTIFICATE])), texts, texts["README.md"]
 
@@ -186,7 +195,7 @@ def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
 def _vehicle(vehicle: Vehicle, options: Namespace) -> FmuContent:
     """Returns the content of an FMU that contains the linear vehicle."""
     if options.controller:
-        raise InputError("--part vehicle contains no controller; omit --controller, or give --part loop")
+        raise InputError("--part vehicle exports the vehicle without a controller; omit --controller, or give --part loop")
     model = linear_model(c_name(vehicle.kind.name), f"{vehicle.kind.name}, linear", vehicle, vehicle_system(vehicle))
     return model, {VEHICLE: vehicle.text}, _about(model)
 
@@ -247,14 +256,17 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
     for text in given:
         name, _, number = text.partition("=")
         if name in ranges:
-            raise InputError(f"--range {text}: the range of {name} is given twice; give it once")
+            raise InputError(f"--range {text}: the range of {name} is given twice; give each range once")
         try:
             ranges[name] = float(number)
         except ValueError:
             ranges[name] = math.nan
         low, high = RANGES
         if not low <= ranges[name] <= high:
-            raise InputError(f"--range {text}: give SIGNAL=MAGNITUDE, from {low:g} to {high:g}, such as sprung_velocity=1.5")
+            raise InputError(
+                f"--range {text} does not have the form SIGNAL=MAGNITUDE; give a magnitude from {low:g} to {high:g}, such "
+                "as sprung_velocity=1.5"
+            )
     return ranges
 
 

@@ -54,7 +54,7 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
     options = _parser().parse_args(arguments)
     if options.cross_check and (options.check or options.refine):
         why = "--check designs nothing" if options.check else "--refine moves the gain away from their optima"
-        raise InputError(f"--cross-check solves the LMI problems of designs again, and {why}; omit one of them")
+        raise InputError(f"--cross-check solves the LMI problems of designs again, but {why}; omit one of the two options")
     given = options.given | ({"range"} if options.ranges else set())
     for name, (does, others) in ALONE.items():
         if name in given and given - {name, "json", "verbose", *others}:

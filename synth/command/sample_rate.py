@@ -35,7 +35,7 @@ def periods_of(rates: Sequence[float]) -> list[float]:
         if list(rates).count(rate) > 1:
             raise InputError(f"--rates {rate:g} ms is given twice; give each sample period once")
     if len(rates) > MOST:
-        raise InputError(f"--rates has {len(rates)} sample periods; give at most {MOST}")
+        raise InputError(f"--rates has {len(rates)} sample periods; give at most {MOST} of them")
     return sorted(rate / 1e3 for rate in rates)
 
 

@@ -29,10 +29,16 @@ def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
             `path`.
     """
     if not names:
-        raise InputError("--save has nothing to write: no controller is designed; choose one without a gain in the vehicle file")
+        raise InputError(
+            "--save has nothing to write, because this run designs no controller; choose a controller whose gain or "
+            "law is not yet in the vehicle file"
+        )
     for name in names:
         if name + SUFFIX in vehicle.controllers:
-            raise InputError(f"--save: {vehicle.source} has a controller {name + SUFFIX!r} already; rename or remove it")
+            raise InputError(
+                f"--save: {vehicle.source} already has a controller {name + SUFFIX!r}, which --save would add; rename or "
+                "remove this controller"
+            )
     with_sections(vehicle.text_for(path), [])
 
 

@@ -37,7 +37,9 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     outputs = {"picture": options.picture, "csv": options.csv}
     check_outputs({**outputs, "save": options.save}, vehicle.files, options.json)
     if options.point and not options.save:
-        raise InputError("--point chooses the designs that --save writes; give a file with --save, or omit --point")
+        raise InputError(
+            "--point chooses the designs that --save writes, but --save is missing; give a file with --save, or omit --point"
+        )
     if options.save:
         check_save(options.save, vehicle, [f"{name}_{SAVED_NAME}_{i}" for i in options.point or (1,)])
     stage = Stages("designs", "the picture")
@@ -94,7 +96,10 @@ def _name(vehicle: Vehicle, given: Sequence[str] | None) -> str:
     if given is None:
         return usual(vehicle)
     if len(given) > 1:
-        raise InputError(f"--front uses the measurements of one controller, but --controller gives {len(given)}; give one")
+        raise InputError(
+            f"--front uses the measurements of a single controller, but --controller names {len(given)} controllers; name "
+            "only one"
+        )
     return one_chosen(vehicle.controller_names, given[0])
 
 
@@ -110,6 +115,7 @@ def _numbers(trade_off: Front, given: Sequence[int] | None) -> list[int]:
     for i in given or ():
         if i > len(trade_off.points):
             raise InputError(
-                f"--point {i}: the front has {len(trade_off.points)} points; give one from 1 to {len(trade_off.points)}"
+                f"--point {i}: the front has only {len(trade_off.points)} points; give a number from 1 to  "
+                f"{len(trade_off.points)}"
             )
     return sorted({*given}) if given else list(range(1, len(trade_off.points) + 1))

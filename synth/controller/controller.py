@@ -275,8 +275,8 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
     """
     if controller.preview is not None:
         raise InputError(
-            f"controller {controller.name!r} has a preview of the road, but {what} contains only feedback of measured signals; "
-            "choose a controller without preview"
+            f"controller {controller.name!r} has a preview of the road, but {what} can contain only feedback of "
+            "measured signals; choose a controller without preview"
         )
 
 

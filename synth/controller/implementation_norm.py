@@ -102,13 +102,14 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
     how, model = vehicle.implementation, vehicle.linear_model
     if how.sample_period is None:
         raise InputError(
-            f"controller {entry.name!r} is designed for the sampled-data loop, but [implementation] has no sample period; give "
-            "it in seconds, such as sample_period = 0.01"
+            f"controller {entry.name!r} is designed for the sampled-data loop, but [implementation] has no sample "
+            "period; give sample_period in seconds, such as sample_period = 0.01"
         )
     if pushed := [name for name in entry.measured if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
-            f"controller {entry.name!r} cannot be designed for the sampled-data loop: {pushed[0]!r} contains the road's "
-            "velocity because of tyre_damping, so its samples have no bound; omit the signal or tyre_damping"
+            f"controller {entry.name!r} cannot be designed for the sampled-data loop: {pushed[0]!r} contains the "
+            "road's velocity because of tyre_damping, so the samples of this signal have no bound; omit the signal "
+            "or tyre_damping"
         )
     return _sampled_problem(vehicle, entry.measured, how.sample_period, entry.hardware.noise)
 

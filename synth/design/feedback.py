@@ -136,13 +136,15 @@ def design_feedback(
     plant = plant.measured(Cy if Cy is not None or len(plant.Cy) else np.eye(len(plant.A)), Dyw)
     rms = _rms(plant, noise)
     if delay and sample_period is None:
-        raise InputError(f"{WHERE} delay = {delay:g} samples needs a sample period; give sample_period in seconds")
+        raise InputError(
+            f"{WHERE} delay = {delay:g} samples needs a sample period, but none is given; give sample_period in seconds"
+        )
     if pid is not None and own.get("structure") not in PATTERNS:
-        raise InputError(f'{WHERE} pid = {short_repr(_plain(pid))} needs structure = "pid"; give both')
+        raise InputError(f'{WHERE} pid = {short_repr(_plain(pid))} applies only to structure = "pid"; give both, or omit pid')
     by_descent_alone = order != FULL and not of_law and design is None and sample_period is None and not goals and not len(family)
     if largest_gain is not None and not by_descent_alone:
         raise InputError(
-            f"{WHERE} largest_gain applies only to a static gain of the least norm; omit it, or give goals "
+            f"{WHERE} largest_gain applies only to a static gain of the least norm; omit largest_gain, or give goals "
             'bounds = [{"gain": ...}]'
         )
     problem = DesignProblem(
@@ -256,7 +258,7 @@ def _design_sampled(problem: DesignProblem, plant: Plant, rms: Array, pieces: tu
     check_continuous(plant)
     if np.any(plant.Dyw):
         raise InputError(
-            f"{WHERE} Dyw has no effect between samples; with sample_period, omit Dyw and give noise, one rms value per signal"
+            f"{WHERE} Dyw has no effect with sample_period; omit Dyw, and give noise instead, with one rms value for each signal"
         )
     from synth.design.static import bounded_work
 

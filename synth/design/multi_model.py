@@ -38,6 +38,8 @@ def slack_design(
         "`slack_design` goes with the next version; use `design_feedback` with `family`", DeprecationWarning, stacklevel=3
     )
     if not plants or len(plants) != len(Cys):
-        raise InputError(f"Cys has {len(Cys)} matrices for {len(plants)} plants; give at least one plant, and one C_y for each")
+        raise InputError(
+            f"Cys has {len(Cys)} matrices for {len(plants)} plants; give at least one plant, and one matrix C_y for each plant"
+        )
     first, *others = (plant.measured(Cy) for plant, Cy in zip(plants, Cys, strict=True))
     return design_feedback(first, family=others, structure=structure)

@@ -262,7 +262,9 @@ class DesignResult(ShownResult):
             InputError: the law has states.
         """
         if self.law.states:
-            raise InputError(f"the law has {states_text(self.law)} and is not only a gain; use its attribute law")
+            raise InputError(
+                f"the law has {states_text(self.law)} , so it is not only a gain; use the attribute `law` of the design"
+            )
         return self.law.D
 
     @property

@@ -71,11 +71,13 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
         np.trim_zeros(real_matrix([list(part)], "a polynomial", "(1, k)")[0], "f") for part in (numerator, denominator)
     )
     if not len(below):
-        raise InputError("the denominator of a filter is zero; give its coefficients, highest power of s first")
+        raise InputError(
+            "the denominator of a filter is zero; give the coefficients of the denominator, with the highest power of s first"
+        )
     if len(above) > len(below):
         raise InputError(
-            f"a filter has a numerator of degree {len(above) - 1} and a denominator of degree {len(below) - 1}, so it would "
-            "differentiate; give a denominator of at least the same degree"
+            f"a filter has a numerator of degree {len(above) - 1} and a denominator of degree {len(below) - 1}, so "
+            "the filter would differentiate; give a denominator of at least the same degree"
         )
     if len(below) == 1:
         return gain(above[0] / below[0] if len(above) else 0.0)
@@ -93,7 +95,8 @@ def series(first: StateSpace, second: StateSpace) -> StateSpace:
     """
     if len(first.C) != second.B.shape[1]:
         raise InputError(
-            f"a system with {len(first.C)} outputs cannot feed a system with {second.B.shape[1]} inputs; give equal numbers"
+            f"a system with {len(first.C)} outputs cannot feed a system with {second.B.shape[1]} inputs; give systems "
+            "with equal numbers"
         )
     n, k = len(first.A), len(second.A)
     return StateSpace(

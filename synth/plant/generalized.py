@@ -48,7 +48,7 @@ class Feedback:
         for name, value, shape in (("K", self.K, "(m, q)"), ("Cy", self.Cy, "(q, n)")):
             object.__setattr__(self, name, real_matrix(value, name, shape))
         if self.K.shape[1] != len(self.Cy):
-            raise InputError(f"K has shape {self.K.shape} and Cy {self.Cy.shape}; give K a column for each row of Cy")
+            raise InputError(f"K has shape {self.K.shape} and Cy {self.Cy.shape}; give K one column for each row of Cy")
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,8 @@ class Plant:
             matrix, size = arrays.real_matrix(getattr(self, name), name, LARGEST, str(SHAPES[name]))
             if 0 < size < SMALLEST:
                 raise InputError(
-                    f"{name} has no entry above {SMALLEST:g} (the largest is {size:g}); give it in other units, or 0"
+                    f"{name} has no entry above {SMALLEST:g} (the largest is {size:g}), so it could not be told from 0; give "
+                    f"{name} in other units, or set it to 0"
                 )
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
@@ -111,16 +112,18 @@ class Plant:
             matrix, shape = getattr(self, name), (size[rows], size[columns])
             if matrix.shape != shape:
                 raise InputError(
-                    f"{name} has shape {matrix.shape}, but must have the shape {shape}: A has {size['n']} row(s), B "
-                    f"{size['m']} column(s), "
-                    f"Bw {size['r']} column(s) and C {size['d']} row(s)"
+                    f"{name} has shape {matrix.shape}, but must have the shape {shape}: A has {size['n']} row(s), B has "
+                    f"{size['m']} column(s), Bw has {size['r']} column(s) and C has {size['d']} row(s)"
                 )
         for name, count, needed in (("Bw has no columns", size["r"], "a disturbance"), ("C has no rows", size["d"], "an output")):
             if not count:
                 raise InputError(f"{name}, so there is no norm from w to z; give {needed}, with zeros if it has no effect")
         object.__setattr__(self, "weights", check("weights", self.weights, Index))
         if self.weights > size["n"]:
-            raise InputError(f"weights = {self.weights} exceed the {size['n']} states; give at most {size['n']}")
+            raise InputError(
+                f"weights = {self.weights} is the number of states in filters, but the plant has only {size['n']} states; "
+                f"give at most {size['n']}"
+            )
         if self.beyond is not None:
             check_shape("beyond", check("beyond", self.beyond, Array), (size["n"] + size["d"], size["n"]), "as A and C are")
         q = 0 if self.Cy is None else len(real_matrix(self.Cy, "Cy", f"(q, {size['n']})"))
@@ -173,7 +176,7 @@ class Plant:
             changed = {name: each for name, each in changed.items() if each is not None}
         plant = replace(self, **changed) if changed else self
         if not len(plant.Cy):
-            raise InputError("Cy has no rows: nothing is measured; give at least one signal")
+            raise InputError("Cy has no rows, so no signal is measured; give at least one row")
         parts = {"Cy": "state", "Dyw": "disturbance", "Dyu": "force"}
         given = [name for name in parts if name == "Cy" or (name == "Dyw" and Dyw is not None) or np.any(getattr(plant, name))]
         sizes = np.abs(np.hstack([getattr(plant, name) for name in given])).max(axis=1)
@@ -445,20 +448,22 @@ def check_states(n: int) -> None:
     Only plants that the user supplies are checked, because a part of a plant may have no states.
     """
     if not n:
-        raise InputError("A has shape (0, 0), a plant without states; give at least one")
+        raise InputError("A has shape (0, 0), so the plant has no states; give at least one state")
 
 
 def check_inputs(plant: Plant) -> None:
     """Raises an InputError if a plant has no state or no input, because then no controller can be designed."""
     check_states(len(plant.A))
     if not plant.B.shape[1]:
-        raise InputError("B has no columns, a plant without inputs; give one column for each force")
+        raise InputError("B has no columns, so the plant has no inputs; give one column for each force")
 
 
 def check_continuous(plant: Plant) -> None:
     """Raises an InputError for a discrete plant, for functions whose formulas are valid only for continuous plants."""
     if plant.dt is not None:
-        raise InputError(f"the plant is discrete (dt = {plant.dt:g}), but this function needs a continuous plant; give one")
+        raise InputError(
+            f"the plant is discrete (dt = {plant.dt:g}), but this function needs a continuous plant; give a continuous plant"
+        )
 
 
 def check_posed(plant: Plant) -> None:
@@ -469,9 +474,13 @@ def check_posed(plant: Plant) -> None:
     """
     if not (np.any(plant.Bw) or np.any(plant.Dw) or np.any(plant.Dyw)):
         zero = "Bw, Dw and Dyw" if len(plant.Dyw) else "Bw and Dw"
-        raise InputError(f"the plant has no disturbance: {zero} are zero; give at least one nonzero entry")
+        raise InputError(
+            f"no disturbance acts on the plant, because all entries of {zero} are zero; give at least one nonzero entry"
+        )
     if not (np.any(plant.C) or np.any(plant.D)):
-        raise InputError("the controlled output z is zero, as C and D are zero; give at least one signal a weight above zero")
+        raise InputError(
+            "the controlled output z is always zero, because C and D are zero; give at least one signal a weight above zero"
+        )
 
 
 def on_all_rows(gain: Array, kept: Sequence[int] | Array, q: int) -> Array:

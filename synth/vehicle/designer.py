@@ -338,7 +338,9 @@ class Designer:
         entry = self._entry(name)
         measured = entry.measured
         if not measured:
-            raise InputError(f"controller {name!r} measures nothing, so it has no gain to refine; give another controller")
+            raise InputError(
+                f"controller {name!r} measures nothing, so it has no gain to refine; give a controller with measurements"
+            )
         check_command(f"controller {entry.name!r}", entry.parts, "refine", DesignError)
         if self.vehicle.integrals:
             raise DesignError(f"controller {entry.name!r}: [performance] weights an integral, {NOT_REFINED}")

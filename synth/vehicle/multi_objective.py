@@ -130,8 +130,8 @@ def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
     model = vehicle.linear_model
     if pushed := [name for name in names if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
-            f"{where}: {pushed[0]!r} contains the road's velocity because of tyre_damping, so it has no bounded peak or energy; "
-            "omit the signal or tyre_damping"
+            f"{where}: {pushed[0]!r} contains the road's velocity because of tyre_damping, so neither its peak nor "
+            "its energy is bounded; omit the signal or tyre_damping"
         )
 
 
@@ -140,12 +140,13 @@ def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyB
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
     if np.any(model.Cr[model.outputs.index(bound.energy_peak)]):
         raise InputError(
-            f"{where}: {bound.energy_peak!r} contains the road's height, which is not bounded by the energy of the road's "
-            "velocity; give another signal, or bound the peak over a road"
+            f"{where}: {bound.energy_peak!r} contains the road's height, which the energy of the road's velocity does "
+            "not bound; give a different signal, or bound the peak over a road"
         )
     if any(entry.hardware.noise):
         raise InputError(
-            f"{where} is an energy_peak, which allows no noise, but [controllers.{entry.name}] has noise = true; omit one of them"
+            f"{where} bounds an energy_peak, for which noise is not allowed, but [controllers.{entry.name}] has noise "
+            "= true; omit one of them"
         )
     _refuse_pushed(where, vehicle, (bound.energy_peak, *entry.measured))
     c, g = measurements(vehicle, [bound.energy_peak], bandwidth)
@@ -166,11 +167,14 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
         choice = choose_road(bound.road)
         road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)
     if choice.loads:
-        raise InputError(f"{where} has loads, but a bound on a peak covers only the road; omit the loads")
+        raise InputError(f"{where} has loads on the vehicle, but a bound on a peak can cover only the road; omit the loads")
     if road.jumps:
-        raise InputError(f"{where} has a vertical edge, which is an impulse of the road's velocity; give an edge above 0")
+        raise InputError(f"{where} has a vertical edge, at which the road's velocity is infinite; give an edge longer than 0")
     if not np.isfinite(road.duration):
-        raise InputError(f"{where} does not end, so its peaks have no largest value; give a bump, a step, a hump or a pothole")
+        raise InputError(
+            f"{where} is a road that does not end, so the peaks over this road have no largest value; give a bump, a "
+            "step, a hump or a pothole"
+        )
     return road
 
 

@@ -66,19 +66,20 @@ def from_state_space(
             if name not in there:
                 raise InputError(f"unknown {what} {name!r}; the system has {list_names(there)}")
     if not disturbances:
-        raise InputError(f"no disturbance is given; give at least one of the inputs {list_names(inputs)}")
+        raise InputError(f"no disturbance is given; choose at least one disturbance from the inputs {list_names(inputs)}")
     weights = {name: float(weight) for name, weight in performance.items() if weight != 0}
     if not weights:
-        raise InputError(f"the weights are all zero; give at least one weight to the outputs {list_names(outputs)}")
+        raise InputError(f"all weights are zero; give a weight above zero to at least one of the outputs {list_names(outputs)}")
     if not measured:
-        raise InputError(f"nothing is measured; give at least one of the outputs {list_names(outputs)}")
+        raise InputError(f"no signal is measured; measure at least one of the outputs {list_names(outputs)}")
     w = [inputs.index(name) for name in disturbances]
     u = [i for i in range(len(inputs)) if i not in w]
     z, y = [outputs.index(name) for name in weights], [outputs.index(name) for name in measured]
     for name, row in zip(measured, D[y], strict=True):
         if np.any(row):
             raise InputError(
-                f"measured signal {name!r} depends directly on an input, but a static controller can measure only states"
+                f"measured signal {name!r} depends directly on an input, but a static controller can measure only "
+                "states; measure a state"
             )
     weight = np.array(list(weights.values()))[:, None]
     direct = weight * D[z]
@@ -96,7 +97,7 @@ def _sample_period(system: Any) -> float | None:
     """Returns the sample period of a system [s]; None if the system is continuous."""
     period = getattr(system, "dt", None)
     if period is True:
-        raise InputError("the system is sampled without a sample period (dt = True); give dt in seconds")
+        raise InputError("the system is discrete, but has no sample period (dt = True); give dt in seconds")
     return period or None
 
 
@@ -194,7 +195,7 @@ def _order(system: Any, labels: str, names: Sequence[str]) -> list[int]:
         return list(range(len(names)))
     if sorted(given_names) != sorted(names):
         raise InputError(
-            f"the system has the {labels.replace('_', ' ')} {list_names(given_names)}; expected {list_names(names)}, in any order"
+            f"the system has the {labels.replace('_', ' ')} {list_names(given_names)}; give {list_names(names)}, in any order"
         )
     return [given_names.index(name) for name in names]
 

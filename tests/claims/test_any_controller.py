@@ -129,7 +129,7 @@ def vehicles(tmp_path_factory) -> Path:
 def takes(command: str, name: str, arguments: list[str]) -> None:
     """Holds that a command agrees, or refuses a controller of which it has nothing to say."""
     if command in NO_CLAIM and name in ("python", "skyhook"):
-        why = r"^controller '\w+' is a .*, which has no linear loop; give another"
+        why = r"^controller '\w+' is a .*, which has no linear loop; give a different"
         with refused(match=why):
             main_of(command)(arguments)
     else:

@@ -87,7 +87,7 @@ def test_impossible_number(designer, honest, key, value):
     """A number that no vehicle has is refused in one line, with the other claims or alone."""
     controller, record = honest
     for changed in ({**record, key: value}, {key: value}):
-        with refused(match=f"controllers.mine.*{key} = .* must be from 1e-60 to 1e\\+60"):
+        with refused(match=f"controllers.mine.*{key} = .* is not between 1e-60 and 1e\\+60"):
             failures(designer.vehicle, controller, changed)
 
 
@@ -310,7 +310,7 @@ def test_said_by(vehicles, capsys, main, options):
         lines = [line for line in printed.err.splitlines() if line.startswith("roadproof: ")]
         said[name] = (code, printed.out.replace(str(vehicle), "FILE"), lines)
     assert said["honest"][2] == []
-    for name, why in {"false": "claims that the norm is", "broken": "norm = 'low' in a certificate must be"}.items():
+    for name, why in {"false": "claims that the norm is", "broken": "norm = 'low' in a certificate is not between"}.items():
         if name not in said:
             continue
         code, out, (line,) = said[name]
@@ -332,7 +332,7 @@ def test_said_by_check(vehicles, capsys):
     """`synth --check` of a false claim exits with 1 and names it; of a claim that is not a number, with 2 and one line."""
     assert synth(["--check", str(vehicles["false"]), "--controller", GIVEN]) == 1
     assert "FAILS: the certificate claims that the norm is" in capsys.readouterr().out
-    with pytest.raises(InputError, match="norm = 'low' in a certificate must be"):
+    with pytest.raises(InputError, match="norm = 'low' in a certificate is not between"):
         synth(["--check", str(vehicles["broken"]), "--controller", GIVEN])
 
 

@@ -308,11 +308,11 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
         (
             "[limits]\nforce_rate = 1e4\n",
             ["--controller", "I"],
-            r"force_rate limits changes .* give \[implementation\] sample_period",
+            r"force_rate limits the change .* give sample_period in \[implementation\]",
         ),
         (BUILT + "[limits]\nforce_rate = 10\n", [*WHOLE, *RANGES], "too coarse for changes of 0.05 N per sample"),
         (LAW + BUILT + "[limits]\nforce_rate = 1e4\n", ["--controller", "law", *WHOLE[2:], *RANGES], "give actuator_force"),
-        ("", [*WHOLE, "--range", "sprung_velocity=1"], "magnitude of suspension_deflection; give it with --range"),
+        ("", [*WHOLE, "--range", "sprung_velocity=1"], "magnitude of suspension_deflection; give this magnitude with --range"),
         ("", [*WHOLE, "--range", "tyre_deflection=1"], "--range tyre_deflection: controller 'I_designed' measures"),
         ("", [*WHOLE, "--range", "sprung_velocity=1e300"], "--range sprung_velocity=1e300: give SIGNAL=MAGNITUDE"),
         ("", [*WHOLE, "--range", "sprung_velocity=1", "--range", "sprung_velocity=2"], "is given twice; give it once"),

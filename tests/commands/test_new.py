@@ -34,7 +34,7 @@ def test_it_writes_a_template(tmp_path, capsys, name):
     assert vehicle.kind.name == name
     assert list(vehicle.controllers) == ["comfort", "travel", "skyhook"]
     path.write_text("mine", encoding="utf-8")
-    with refused(match=r"my car\.toml already exists; give another name, or remove this file$"):
+    with refused(match=r"my car\.toml already exists; give a different name, or remove this file$"):
         main_of("sim.new")([str(path)])
     assert path.read_text(encoding="utf-8") == "mine"
     assert main_of("sim.new")([str(tmp_path / "b.toml"), "--json"]) == 0

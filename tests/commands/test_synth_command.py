@@ -328,9 +328,9 @@ def test_a_saved_file_replaces_only_its_own(capsys, tmp_path):
     for _ in range(2):
         table(capsys, "--controller", "I", "--save", str(saved))
     assert "I_designed" in read_vehicle(saved).controllers
-    with refused(f"--save {own} exists and was not written by --save; give another name or remove it"):
+    with refused(f"--save {own} already exists, but was not written by --save; give another name, or remove the existing file"):
         main(["--controller", "I", "--save", str(own)])
-    with refused("has a controller 'I_designed' already"):
+    with refused("already has a controller 'I_designed'"):
         main(["--vehicle", str(saved), "--controller", "I", "--save", str(tmp_path / "more.toml")])
     assert own.read_text() == read_vehicle("quarter_car").text
     assert {path.name for path in tmp_path.iterdir()} == {"car.toml", "saved.toml"}
@@ -349,7 +349,7 @@ def test_a_saved_file_finds_its_laws(capsys, tmp_path, monkeypatch):
         python = read_vehicle(place).controllers["sky"].source
         assert isinstance(python, PythonLaw)
         assert (python.file, python.source()) == (named, Path("cars/laws/sky.py").read_text())
-    with refused("--save other/saved.toml: ", "law laws/sky.py:step would be outside of the folder other); give a path"):
+    with refused("--save other/saved.toml: ", "law laws/sky.py:step would be outside the folder other of"):
         main(["--vehicle", "cars/car.toml", "--controller", "I", "--save", "other/saved.toml"])
 
 

@@ -169,7 +169,9 @@ def test_functions_and_roads_from_python(capsys):
 def test_a_road_that_gives_no_heights_is_named(height):
     """A road of one's own that returns other than a finite height for each time is refused by the name of its class."""
     Mine = type("Mine", (Flat,), {"displacement": lambda self, t, side="": height(t)})
-    with pytest.raises(InputError, match=r"Mine\.displacement\(t\) must return one finite height \[m\] for each time"):
+    with pytest.raises(
+        InputError, match=r"Mine\.displacement\(t\) returned a wrong result; return one finite height \[m\] for each time"
+    ):
         run(read_vehicle("quarter_car"), "passive", Mine())
 
 

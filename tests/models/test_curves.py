@@ -200,17 +200,26 @@ def test_the_error_of_the_linearisation_is_that_of_a_car_without_curves(kind, na
     [
         ("{ velocity = [-1.0, 0.0, 1.0], force = [-1.0, 1.0] }", "has 3 values of velocity and 2 of force"),
         ("{ velocity = [-1.0, 1.0, 0.0], force = [-1.0, 0.0, 1.0] }", "from 1 to 0 m/s at point 3; sort the points by velocity"),
-        ("{ velocity = [0.1, 1.0], force = [10.0, 100.0] }", "give values on both sides of equilibrium"),
-        ("{ velocity = [-1000, 0, 1000], force = [-900, 0, 900] }", "at most 50 m/s is allowed; give values in m/s, not in mm/s"),
+        ("{ velocity = [0.1, 1.0], force = [10.0, 100.0] }", "but both sides of equilibrium are needed"),
+        (
+            "{ velocity = [-1000, 0, 1000], force = [-900, 0, 900] }",
+            "at most 50 m/s is allowed; check that the values are in m/s, not in mm/s",
+        ),
         ("{ velocity = [-1.0, 1.0], force = [1000.0, -1000.0] }", "its force at -1 m/s is 1000 N, which would supply energy"),
         ("{ velocity = [-1.0, 0.0, 1.0], force = [-800.0, 100.0, 1000.0] }", "its force at rest is 100 N"),
-        ("{ velocity = [-1.0, 0.0, 1.0, 2.0], force = [-800, 0, 900, 700] }", "its force falls beyond its last point"),
-        ("{ velocity = [-1e-308, 1e-308], force = [-1, 1] }", "velocity goes from -1e-308 to 1e-308 m/s; give at least 1e-06"),
+        ("{ velocity = [-1.0, 0.0, 1.0, 2.0], force = [-800, 0, 900, 700] }", "force continues to fall beyond its last point"),
+        (
+            "{ velocity = [-1e-308, 1e-308], force = [-1, 1] }",
+            "velocity goes from -1e-308 to 1e-308 m/s, but it must reach at least 1e-06",
+        ),
         ("{ velocity = [-1.0, 1.0], force = [0, 0] }", "the force differs by at most 0 N from the force at rest"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = 30 }", "friction_velocity is missing; the friction F tanh"),
         ('{ file = "x.csv" }', "names a file, but a vehicle that is read from text cannot refer to files"),
         ("{ deflection = [-0.1, 0.0, 0.1], force = [1000, 0, -1000] }", "its slope at rest is not above 0"),
-        ("{ deflection = [-100, 0, 100], force = [-1000, 0, 1000] }", "at most 5 m is allowed; give values in m, not in mm"),
+        (
+            "{ deflection = [-100, 0, 100], force = [-1000, 0, 1000] }",
+            "at most 5 m is allowed; check that the values are in m, not in mm",
+        ),
     ],
 )
 def test_a_table_that_is_none(table, said):
@@ -300,12 +309,11 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
             "compression and -90 N in rebound at 0 m/s, probably because of a"),
         ("a.csv", "speed [m/s], compression [N], rebound [N]\n1, 190, -10\n2, 200, 300\n", "has 190 N in "
             "compression and -10 N in rebound at 1 m/s, probably because of a"),
-        ("a.csv", "velocity [m/s], 2 clicks [N], 6 clicks [N]\n-1, -9, -8\n1, 9, 8\n", "it needs the two columns velocity and "
-            "force, of one"),
-        ("a.csv", "speed [m/s], force [N], rebound clicks [-]\n-1, -9, 8\n1, 9, 8\n", "does not tell the positive direction"),
+        ("a.csv", "velocity [m/s], 2 clicks [N], 6 clicks [N]\n-1, -9, -8\n1, 9, 8\n", "exactly two columns are needed"),
+        ("a.csv", "speed [m/s], force [N], rebound clicks [-]\n-1, -9, 8\n1, 9, 8\n", "does not state the positive direction"),
         ("a.csv", 'velocity [m/s], force [N]\n-1, -900\n1, "1,000"\n', "line 3 has '1,000', which may be a thousands "
             "separator; write"),
-        ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "'speed [m/s]', which does not tell the positive"),
+        ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "'speed [m/s]', which does not state the positive direction;"),
         ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "line 3, column 2: 'x' is not a finite number; give a .csv file"),
         ("a.csv", "deflection [m], force [N]\n-1, -10\n1, 10\n", "has the columns deflection, force; give velocity and force"),
         ("a.dpr", DPR.replace("FORCE = 'newton'", ""), "[UNITS] has no FORCE; give one of"),
@@ -367,7 +375,7 @@ def test_own_kinds_have_curves_where_they_say_so(tmp_path):
     np.testing.assert_array_equal(found["suspension_velocity"], expected["suspension_velocity"])
 
     (tmp_path / "mine.py").write_text(source.replace('p["c_strut"], weight)', "400.0, weight)"))
-    with pytest.raises(InputError, match="'suspension' is 400, but c_strut is 1750; a curve needs equal values"):
+    with pytest.raises(InputError, match="'suspension' has c_strut = 400, but the vehicle file gives 1750, so a curve"):
         build_model(read_vehicle(tmp_path / "mine.toml"), 1e-3)
 
 

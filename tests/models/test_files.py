@@ -159,7 +159,7 @@ def test_text_is_read(tmp_path):
     assert read_bytes(file, "vehicle file").endswith(b"b = 2\n")
     for content in (b"\xff\xfe", "a = 1".encode("utf-16-le"), "Höhe".encode("latin-1")):
         file.write_bytes(content)
-        with refused(str(file), match=r"not a text file in UTF-8 \(.*\); save it as UTF-8, or give another"):
+        with refused(str(file), match=r"not a text file in UTF-8.*; save the file as UTF-8, or give another"):
             read_text(file, "vehicle file")
 
 

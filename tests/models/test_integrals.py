@@ -195,7 +195,7 @@ INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
     ("lines", "more", "said"),
     [
         ([f"tyre_deflection = {INTEGRAL}"], "", "integral of tyre_deflection, which no constant force changes"),
-        ([f"sprung_displacement = {INTEGRAL}"], "", "sprung_displacement is a height over the datum"),
+        ([f"sprung_displacement = {INTEGRAL}"], "", "sprung_displacement is a height above the datum"),
         ([PI], '[controllers.p]\nmeasured = ["suspension_deflection"]\nstructure = "pi"\n', "has no state for it"),
         ([PI], '[controllers.e]\nmeasured = ["suspension_deflection"]\norder = "full"\nstable = true\n', "law alone is not"),
         (
@@ -210,11 +210,15 @@ INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
             'measured = ["suspension_deflection"]\n',
             "integrate the noise on suspension_deflection",
         ),
-        (["suspension_deflection = { numerator = [1.0, 0.0], denominator = [1.0, 0.0] }"], "", "is cancelled by a zero"),
+        (["suspension_deflection = { numerator = [1.0, 0.0], denominator = [1.0, 0.0] }"], "", "that a zero at 0 cancels"),
         (["road = { numerator = [1.0], denominator = [1.0, 0.0] }"], "", "road: the filter is unstable: a root"),
         (["height = { sum = { sprung = 1.0 } }"], "", "sum has the unknown signal 'sprung'"),
         (["height = { sum = { tyre_deflection = 0.0 } }"], "", "is not allowed; give signals with factors"),
-        (["tyre_deflection = { sum = { tyre_deflection = 1.0 } }"], "", "is the name of a signal; give the sum another name"),
+        (
+            ["tyre_deflection = { sum = { tyre_deflection = 1.0 } }"],
+            "",
+            "is already the name of a signal; give the sum a different name",
+        ),
     ],
 )
 def test_refused(lines, more, said):

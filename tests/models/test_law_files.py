@@ -91,7 +91,9 @@ def test_a_sample_period_comes_with_it(tmp_path):
         (LAW | {"Ts": 0.004}, slow, 0.004),
     ):
         assert law_in(tmp_path, mat(variables), more).sample_period == period
-    with pytest.raises(InputError, match=r"its period is 0.002 s, but sample_period = 0.004; omit"):
+    with pytest.raises(
+        InputError, match=r"the law in the file has a sample period of 0.002 s, but the section has sample_period = 0.004; omit"
+    ):
         law_in(tmp_path, mat(LAW | {"Ts": 0.002}), slow)
 
 
@@ -144,7 +146,7 @@ def test_only_a_vehicle_file_names_files(tmp_path, monkeypatch):
     file = vehicle_with(tmp_path, mat(LAW))
     monkeypatch.chdir(tmp_path)
     for folder in (None, tmp_path):
-        with pytest.raises(InputError, match="file needs a vehicle file next to it, but this vehicle is read from text"):
+        with pytest.raises(InputError, match="file names a file next to the vehicle file, but this vehicle is read from text"):
             parse_vehicle(file.read_text(), folder=folder)
 
 
@@ -167,14 +169,14 @@ def test_names_of_text_books(tmp_path):
 @pytest.mark.parametrize(
     ("variables", "said"),
     [
-        (LAW | {"Ak": A}, "the file has both Ak and A; keep one of them"),
+        (LAW | {"Ak": A}, "the file has both Ak and A; keep only one of the two"),
         ({"num": 1.0}, "has a transfer function without den; give only num and den"),
-        ({"num": np.ones(3), "den": np.ones(2)}, "num has 3 coefficients, but den only 2"),
+        ({"num": np.ones(3), "den": np.ones(2)}, "num has 3 coefficients, but den has only 2"),
         ({"A": A}, "B, C, D is missing in the file"),
         (LAW | {"K": 1.0}, "the file has both K and A, B, C, D; keep"),
         ({"one": LAW, "two": LAW}, "contains several controllers, in the struct one and the struct two"),
-        ({"x": 1.0}, "contains x, but neither A, B, C, D nor K"),
-        ({}, "contains nothing, but neither A, B, C, D nor K"),
+        ({"x": 1.0}, "contains x, but neither K nor the matrices A, B, C and D;"),
+        ({}, "contains nothing, but neither K nor the matrices A, B, C and D;"),
         (LAW | {"A": 1j * A}, "A has complex entries"),
         (LAW | {"B": B * np.nan}, "B has an entry that is not finite"),
         (LAW | {"A": "text"}, "A is text"),
@@ -182,7 +184,7 @@ def test_names_of_text_books(tmp_path):
         ({"K": np.ones((2, 2, 2))}, "K has shape (2, 2, 2); expected a matrix"),
         (LAW | {"B": B.T[:1]}, "give 2 row(s) of 2 number(s), because A has 2 row(s)"),
         (LAW | {"A": -np.eye(201), "B": np.ones((201, 2)), "C": np.ones((1, 201))}, "a controller with 201 states is too large"),
-        (LAW | {"A": 1e300 * A}, "A has an entry beyond 1e+15"),
+        (LAW | {"A": 1e300 * A}, "A has an entry with a magnitude above 1e+15; use units"),
         (LAW | {"Ts": -1.0}, "Ts = [[-1.0]] is not a sample period"),
         (LAW | {"Ts": 0.1, "sample_period": 0.2}, "two different sample periods"),
     ],
@@ -209,7 +211,7 @@ HEADER = b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM"
         ),
         (
             b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM" + bytes(500),
-            "the file has version 7.3 (HDF5), which cannot be read; save it",
+            "the file has MATLAB version 7.3 (HDF5), which cannot be read; save the file",
         ),
         (b"# Created by Octave 9.2\n# name: K\n# type: matrix\n", "this is not a MATLAB file, or it is damaged ("),
         (b"", "this is not a MATLAB file, or it is damaged ("),

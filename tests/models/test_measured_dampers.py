@@ -44,7 +44,7 @@ def test_what_would_feed_energy_in():
     with refused("at c_min both together supply energy at -1.5 m/s"):
         parse_vehicle(with_tables(QUARTER, suspension_damping=DIGRESSIVE) + DAMPER)
     falling = "{ velocity = [-1.0, -0.5, 0.0, 0.5, 1.0], force = [-2000, -1000, 0, 500, 600] }"
-    with pytest.raises(InputError, match=r"at 0\.5 m/s; give only a line and friction"):
+    with pytest.raises(InputError, match=r"at 0\.5 m/s\. Give only a line and friction"):
         parse_vehicle(with_tables(QUARTER, suspension_damping=falling) + DAMPER)
     late = "{ velocity = [-1.0, -0.5, 0.0, 0.5, 1.0], force = [-1000, -500, 0, 500, 700] }"
     with pytest.raises(InputError, match="beyond 1 m/s, where its end is extended"):
@@ -139,12 +139,20 @@ def test_the_nominal_setting_is_where_the_parameter_says():
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (f"c_max = {HARD}", "c_max = 4000.0", r"c_min is a curve, but c_max is a number; give two curves, or two numbers"),
-        (HARD, SOFT, r"at -1.5 m/s, the force is -700 N for c_min and -700 N for c_max; c_max must be the firmest setting"),
+        (
+            f"c_max = {HARD}",
+            "c_max = 4000.0",
+            r"c_min is a curve, but c_max is a number; give c_min and c_max as two curves, or as two numbers",
+        ),
+        (HARD, SOFT, r"at -1.5 m/s, the force is -700 N for c_min and -700 N for c_max, but c_max must be the firmest setting"),
         ("-1700, -1000", "-1700, -100", r"at -0.2 m/s, the force is .* N for c_min and -100 N for c_max"),
         ("force = [-2600", "force = [nan", r"^\[actuators.c_max\] force\[0\] = nan is not allowed"),
         (HARD, "{ deflection = [-1.0, 1.0], force = [-1, 1] }", r"c_max 'deflection' is not allowed"),
-        ("1400, 2300, 3600", "1400, 2300, 2310", r"last points, c_min and c_max continue with slopes of 422.222 and 10 N s/m"),
+        (
+            "1400, 2300, 3600",
+            "1400, 2300, 2310",
+            r"last points, c_min and c_max continue beyond their points with slopes of 422.222 and 10 N s/m",
+        ),
     ],
 )
 def test_tables_that_are_none(old, new, said):
@@ -171,7 +179,9 @@ def test_what_else_is_refused():
     ):
         parse_vehicle(QUARTER + told + PAIR)
     one_side = f"[actuators.front_left]\nc_min = {SOFT}\nc_max = {HARD.replace('-2600', '-2700')}\n"
-    with pytest.raises(InputError, match="suspensions that share suspension_damping_front have different damper curves"):
+    with pytest.raises(
+        InputError, match="suspensions with the same parameter suspension_damping_front have different damper curves"
+    ):
         parse_vehicle(read_vehicle("full_car").text + PAIR + one_side)
 
 

@@ -112,14 +112,14 @@ def test_columns_with_other_names_and_a_sample_rate(tmp_path):
 
 HEAD = "time [s];sprung_acceleration [m/s2]\n"
 WRONG = [  # the text of a file, settings, words of the message
-    ("t [s];sprung_acc [m/s2]\n0;1\n1;2\n2;3\n", {}, ("'sprung_acc [m/s2]'", "nearest signals: sprung_acceleration")),
-    ("t [s];sprung_acceleration [mm]\n0;1\n1;2\n2;3\n", {}, ("column 2 (", "unit 'mm', but sprung_acceleration is in m/s2",)),
+    ("t [s];sprung_acc [m/s2]\n0;1\n1;2\n2;3\n", {}, ("'sprung_acc [m/s2]'", "nearest signals are sprung_acceleration")),
+    ("t [s];sprung_acceleration [mm]\n0;1\n1;2\n2;3\n", {}, ("column 2 (", "the signal sprung_acceleration needs m/s2",)),
     ("t [m];sprung_acceleration [m/s2]\n0;1\n1;2\n2;3\n", {}, ("no column is called time", "'t [m]'", "sample rate")),
     (HEAD + "0;1\n2;2\n1;3\n", {}, ("time falls from 2 to 1 s at line 4",)),
     (HEAD + "0;1\n1;x\n2;3\n", {}, ("line 3, column 2: 'x' is not a finite number",)),
     (HEAD + "0;1\n1;\n2;\n", {}, ("column 2 ('sprung_acceleration [m/s2]') has fewer than 3 numbers",)),
     (HEAD + "0;1\n1;2\n", {}, ("2 sample(s), but at least 3",)),
-    (HEAD + "0;1\n1;2\n2;3\n", {"rate": 10.0}, ("column 1 ('time [s]') contains times, which give the sample rate; omit",)),
+    (HEAD + "0;1\n1;2\n2;3\n", {"rate": 10.0}, ("column 1 ('time [s]') contains times, which already determine the",)),
     ("a [N];b\n0;1\n1;2\n2;3\n", {"rate": 0.0, "columns": {"control_force": "a"}}, ("0 Hz", "above 0")),
     (HEAD + "0;1\n1;2\n2;3\n", {"columns": {"control_force": "u"}}, ("no column is called 'u'", "'sprung_acceleration [m/s2]'")),
     (HEAD + "0;1\n1;2\n2;3\n", {"columns": {"force": "u"}}, ("no signal 'force'", "control_force")),

@@ -235,7 +235,7 @@ def test_from_is_the_rest_of_the_file(tmp_path):
     for side in ("left", "right"):
         assert np.array_equal(found.displacement(t, side), cut.displacement(t, side))
     assert found.describe()["from"] == start
-    whole = f"give a distance from {x[0]:g} m to less than {x[-1]:g} m"
+    whole = f"start at a distance from {x[0]} m to less than {x[-1]} m"
     for text in ("road.csv:from=3", "road.csv:from=1e4", f"road.csv:from={float(x[-1])!r}"):
         with refused(f"from = {float(text.split('=')[1]):g} m is not on the road; {whole}"):
             choose_road(text, tmp_path)
@@ -285,9 +285,15 @@ def test_a_campaign_over_measured_roads(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("0,0\n1,0\n2,1e5\n3,0\n", "3 m long in steps of 1 m, heights from 0 to 1e+05 m. Its rms slope of 8.16e+04 is steeper"),
-        ("0,0\n.001,.02\n.002,-.01\n.003,0\n4,0\n", "heights from -0.01 to 0.02 m. Its rms slope of 18.7 is steeper than any"),
-        ("0,0\n1,20\n2,-10\n3,0\n", "if distances are in km, or heights in mm, add :distance_unit=km or :height_unit=mm"),
+        (
+            "0,0\n1,0\n2,1e5\n3,0\n",
+            "3 m long in steps of 1 m, with heights from 0 to 1e+05 m. Its rms slope of 8.16e+04 is steeper",
+        ),
+        (
+            "0,0\n.001,.02\n.002,-.01\n.003,0\n4,0\n",
+            "heights from -0.01 to 0.02 m. Its rms slope of 18.7 is steeper than that of any",
+        ),
+        ("0,0\n1,20\n2,-10\n3,0\n", "check the units, as in :distance_unit=km or :height_unit=mm"),
     ],
 )
 def test_no_road_is_that_steep(tmp_path, rows, said):
@@ -305,7 +311,7 @@ def test_a_mountain_road_is_driven(tmp_path, capsys):
     arguments = ["--controller", "passive", "--road", str(tmp_path / "pass.csv"), "--no-logs", "--duration", "1"]
     assert main([*arguments, "--from", "9000", "-v", "--vehicle", "half_car", "--load", "brake:g=0.1"]) == 0
     assert "no iri: the road's points are 50 m apart, but ASTM E1926 allows at most 0.3 m" in prose(capsys.readouterr().out)
-    with refused("steeper than any road"):
+    with refused("steeper than that of any road"):
         main([*arguments, "--from", "9940"])
     assert "there is no point" not in capsys.readouterr().err
 
@@ -325,7 +331,7 @@ def test_lines_need_two_points(tmp_path, capsys):
     assert main([*arguments, str(tmp_path / "road.csv")]) == 0
     assert "rms; no road is so smooth: check the units of heights" in capsys.readouterr().err
     (tmp_path / "road.csv").write_text("distance [m],height [m]\n0,0\n20,0.1\n40,0.1\n100,0.1\n")
-    with refused("a smooth profile needs at least 4 points, but has 3"):
+    with refused("a smooth profile needs at least 4 points, but this one has 3"):
         choose_road("road.csv:from=30:join=smooth", tmp_path)
     with refused("gap from 3 m to 40 m"):
         choose_road("flat.csv:join=smooth", tmp_path)
@@ -505,5 +511,7 @@ def test_opencrg_between_its_lines(tmp_path):
     (tmp_path / "other" / "names.crg").write_text("$CT\n$ROAD_CRG_FILE\n ../road.crg ! data are there\n$\n")
     there = read_surface(tmp_path / "other" / "names.crg")
     assert np.array_equal(there.z, read_surface(tmp_path / "road.crg").z)
-    with refused("OpenCRG file contains its own units", "'join=smooth' is not a setting NAME=VALUE; NAME must be one of from"):
+    with refused(
+        "OpenCRG file contains its own units", "'join=smooth' does not have the form NAME=VALUE; NAME must be one of from"
+    ):
         choose_road("road.crg:join=smooth", tmp_path)

@@ -76,9 +76,13 @@ def test_it_goes_to_other_processes(folder):
         ("import numpy as np", "raise SystemExit(3)", r"fails \(SystemExit: 3, line 1\)"),
         ("import numpy as np", "raise ValueError('two\\nlines')", r"ValueError: two lines"),
         (BUILD, "def linear_model(p:", r"\(.*line AT\)"),
-        ("KIND = VehicleKind(", "OTHER = VehicleKind(", r"the file defines no KIND; end the file with KIND = VehicleKind"),
+        (
+            "KIND = VehicleKind(",
+            "OTHER = VehicleKind(",
+            r"the file defines no KIND; end the file of the vehicle type with KIND = VehicleKind",
+        ),
         ("KIND = VehicleKind(", "KIND = dict(", r"KIND is a dict"),
-        ('name="hopper"', 'name="jumper"', r"KIND has the name 'jumper', but its files are named 'hopper'"),
+        ('name="hopper"', 'name="jumper"', r"KIND has the name 'jumper', but the files of this vehicle type are named 'hopper'"),
         (BUILD, f"{BUILD}\n    p['weight']", r"linear_model fails \(KeyError: 'weight', line BELOW\)"),
         (BUILD, f"{BUILD}\n    return None", r"linear_model\(parameters\) = None is not allowed; give a LinearModel"),
         ("np.array([[-1], [0]])", "np.array([[-1]])", r"linear_model fails \(Bw has shape \(1, 1\)"),
@@ -163,12 +167,12 @@ def test_parts_that_do_not_fit(folder, part, value, said):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("</mujoco>", "", r"MuJoCo rejects it \(.*XML"),
-        ('site="sprung"', 'site="nowhere"', r"MuJoCo rejects it \(.*nowhere"),
-        (SENSOR, "", r"has no sensor 'sprung_velocity', which the equations use"),
+        ("</mujoco>", "", r"MuJoCo rejects this file \(.*XML"),
+        ('site="sprung"', 'site="nowhere"', r"MuJoCo rejects this file \(.*nowhere"),
+        (SENSOR, "", r"has no sensor 'sprung_velocity', which the equations of motion need"),
         (SENSOR, SENSOR.replace("1", "0"), r"user = \[0.0\] is not a direction"),
         (ROAD, '<body name="road">', r"has no mocap body 'road'"),
-        ("</actuator>", '<motor joint="sprung"/></actuator>', r"2 actuators for 1 inputs"),
+        ("</actuator>", '<motor joint="sprung"/></actuator>', r"has 2 actuators, but linear_model has 1 inputs"),
         ("</actuator>", '<motor name="fitted_1" joint="sprung"/></actuator>', r"reserved; rename the actuator 'fitted_1'"),
         ('<joint name="sprung" type="slide" axis="0 0 1"/>', '<freejoint name="sprung"/>', r"MJCF"),
         ('pos="0 0 .3"', 'pos="0 0 .25"', r"place the hub higher, at least"),
@@ -187,7 +191,7 @@ def test_actuators_have_their_inputs_names(folder):
     """A motor of another name than the input's would be some other force: it is refused, also where its sensor names it."""
     names = 'name="control_force" joint', 'actuator="control_force"'
     replace(folder / "hopper.xml", *((name, name.replace("control_force", "brake")) for name in names))
-    said = "the actuators are 'brake', but linear_model has the inputs 'control_force'; use the same names in the same order"
+    said = "actuators 'brake', but linear_model has the inputs 'control_force'; use the same names in the same order"
     assert refusal(folder).endswith(said)
 
 

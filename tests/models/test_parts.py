@@ -1137,11 +1137,14 @@ def test_a_kink_at_rest_is_found():
             '[parts.x]\nkind = "hydraulic_stop"\nat = "fornt"',
             "at = 'fornt' is not a suspension or an axle of this vehicle; it has",
         ),
-        ('[parts.sprung_mass]\nkind = "hydraulic_stop"', "[parts.sprung_mass] has the name of a parameter; give"),
+        (
+            '[parts.sprung_mass]\nkind = "hydraulic_stop"',
+            "[parts.sprung_mass] has the same name as a parameter of the vehicle; give",
+        ),
         ('[parts.x]\nkind = "hydraulic"', "[parts.x] kind = 'hydraulic' is unknown; give one of "),
         (
             '[parts.x]\nkind = "bouc_wen"\nalpha = 1e4\nbeta = 3.0\ngamma = -3.0',
-            "[parts.x] beta + gamma = 0 is not allowed; give a sum above 0",
+            "[parts.x] beta + gamma = 0 is not allowed, because the force would be unbounded; give a sum above 0",
         ),
         ("[parts]\nx = 3", "[parts] x is not a section; write [parts.NAME] with kind"),
     ],

@@ -349,7 +349,9 @@ def test_every_source_makes_its_driver(tmp_path):
     )
     assert (made["sky"].record["semi_active"], made["sky"].linear, made["sky"].user_code) == ("skyhook", False, False)
     for name in ("I", "given"):
-        with pytest.raises(InputError, match=f"^controller '{name}' has a linear law; design this controller with synth"):
+        with pytest.raises(
+            InputError, match=f"^controller '{name}' has a linear law that is not designed yet; design the controller with synth"
+        ):
             vehicle.controllers[name].driver()
     entries = vehicle.controllers
     given = entries["given"].law

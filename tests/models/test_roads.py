@@ -171,7 +171,7 @@ def test_opencrg(tmp_path):
         assert choice.build(car, 2.0, 0, 9.0).displacement(t, side) == pytest.approx(expected, abs=1e-9)
     assert choice.build(quarter, 2.0, 0, 9.0).displacement(t) == pytest.approx(0.02 * np.sin(t * 2), abs=1e-9)
     pyopencrg.CrgRoad(heights[:, 3:6], u_inc=0.1, v=v[3:6]).save(tmp_path / "narrow.crg", fmt="KDBI")
-    with pytest.raises(InputError, match="is less than the track"):
+    with pytest.raises(InputError, match="is less than the vehicle's track"):
         choose_road("narrow.crg", tmp_path).build(car, 2.0, 0, 9.0)
     (tmp_path / "none.crg").write_text("distance,height")
     with pytest.raises(InputError, match="not an OpenCRG file"):
@@ -340,7 +340,7 @@ def test_a_spreadsheet(tmp_path):
         assert again is not None
         np.testing.assert_array_equal(again.heights, found.heights)
     (tmp_path / "road.xlsx").write_bytes(spreadsheet(rows, rows))
-    with refused("has tables in the sheets s1, s2, but only one is read"):
+    with refused("has tables in the sheets s1, s2, but only one sheet can be read"):
         choose_road("road.xlsx", tmp_path)
 
 
@@ -459,13 +459,13 @@ def test_a_path_that_is_not_sure(tmp_path):
     s, x, y, z = survey()
     noise = np.random.default_rng(1).normal(0, 0.1, (2, len(s)))
     for above, columns, said in (
-        ("", (x, y, z), "the columns have no headings, and the last two differ by up to 5.6"),
+        ("", (x, y, z), "the columns have no headings. The last two differ by up to 5.6"),
         ("", (x - x[0], y - y[0], z - z[0]), "write headings above line 1, such as x [m], y [m], height [m]"),
         ("x,y,z\n", (x + noise[0], y + noise[1], z), "positions are noisy or not in driving order"),
         ("x,y,z\n", (s, 1.5 * (np.arange(len(s)) % 2), z), "positions are noisy or not in driving order"),
-        ("lat,lon,z\n", (1e7 * x, y, z), "; give decimal degrees, up to 360 and 90"),
+        ("lat,lon,z\n", (1e7 * x, y, z), ", beyond the range of degrees; give decimal degrees, up to 360 for longitude and 90"),
         ("station,x,y,z\n", (np.arange(len(s)), x, y, z), "480 m long, but the path through columns 2 ('x') and 3 ('y') is 120"),
-        ("x,z\n", (s[::-1], z), "and at all other points; reverse the order of the points"),
+        ("x,z\n", (s[::-1], z), "and between all other points; reverse the order of the points"),
         ("x,z\n", (np.sin(s), z), "if this column is a map coordinate, give the other coordinate, too"),
     ):
         (tmp_path / "road.csv").write_text(
@@ -522,13 +522,13 @@ def test_what_is_written_is_read(tmp_path):
     ("text", "said"),
     [
         ("0,0\n1,0\n2,0\n1.5,0\n3,0\n", "distance falls from 2 m to 1.5 m (line 3 and line 4); sort the points by distance"),
-        ("0,0\n1,0\n1,0\n3,0\n", "distance 1 m is repeated (line 2 and line 3); keep one of the two points"),
+        ("0,0\n1,0\n1,0\n3,0\n", "distance 1 m is repeated (line 2 and line 3); keep only one of the two points"),
         ("0,0\n1,nan\n2,0\n3,0\n", "line 2, column 2: 'nan' is not a finite number; give columns"),
         ("0,0\n1,\n2,0\n3,0\n", "line 2 has 1 column(s), but line 1 has 2"),
         ("0\n1\n2\n3\n", "1 column(s)"),
-        ("0,0\n", "a profile needs at least 2 points, but has 1"),
+        ("0,0\n", "a profile needs at least 2 points, but this one has 1"),
         ("", "the file is empty; give columns"),
-        ("0,0\n100,20\n200,-10\n300,0\n", "the points are 100 m apart if the distances, which have no unit, are in m"),
+        ("0,0\n100,20\n200,-10\n300,0\n", "the points are 100 m apart, which is not plausible"),
         ("0,5,1,2\n", "line 1 has 4 column(s)"),
     ],
 )
@@ -544,21 +544,27 @@ def test_bad_profiles(tmp_path, text, said):
     ("text", "said"),
     [
         ("iso8608:class=I", "unknown road class 'I'; give A, B"),
-        ("iso8608:rough=C", "'rough=C' is not a setting NAME=VALUE"),
+        ("iso8608:rough=C", "'rough=C' does not have the form NAME=VALUE"),
         ("gravel", "unknown road 'gravel'; give one of iso8608, bump"),
         ("", "unknown road ''; give one of iso8608, bump"),
-        ("pothole:length=0.3", "length = 0.3 m is less than its two edges of 0.2 m; give at least 0.4 m, or edge=0.15 or less"),
-        ("watts_hump:length=0.1", "watts_hump length = 0.1 m is less than twice its height of 0.1 m; give at least 0.2 m"),
+        (
+            "pothole:length=0.3",
+            "length = 0.3 m is less than its two edges of 0.2 m; give a length of at least 0.4 m, or edge=0.15 or less",
+        ),
+        (
+            "watts_hump:length=0.1",
+            "watts_hump length = 0.1 m is less than twice its height of 0.1 m; give a length of at least 0.2 m",
+        ),
         ("sweep:highest=0.1", "sweep highest = 0.1 is not allowed; give a number from 0.5005 to 100 Hz"),
         ("nowhere.csv", "there is no such file"),
         ("road.csv:columns=1", "as in columns=1,3"),
-        ("road.csv:offset=3", "'offset=3' is not a setting NAME=VALUE; NAME must be one of columns, distance_unit"),
+        ("road.csv:offset=3", "'offset=3' does not have the form NAME=VALUE; NAME must be one of columns, distance_unit"),
         ("road.crg:height_unit=mm", "contains its own units"),
-        ("iso8608:iri=2:class=C", "this road has class = C and iri = 2; give only one"),
-        ("iso8608:gd=32e-6:iri=2", "this road has iri = 2 and gd = 3.2e-05; give only one"),
+        ("iso8608:iri=2:class=C", "more than once, by class = C and iri = 2; give only one"),
+        ("iso8608:gd=32e-6:iri=2", "more than once, by iri = 2 and gd = 3.2e-05; give only one"),
         ("iso8608:gd=32 mm", "unit of m3 is expected"),
         ("iso8608:class=A/C", "unknown road class 'A/C'; give A, B"),
-        ("iso8608:band=3", "give both ends, as in band=0.011..2.83"),
+        ("iso8608:band=3", "give the lower and the upper end in cycle/m, as in band=0.011..2.83"),
         ("iso8608:band=2..0.1", "band = 2..0.1 is not allowed; give both ends, the lower one first, from 0.001 to 100 cycle/m"),
     ],
 )
@@ -609,8 +615,12 @@ def test_roads_that_cannot_be_driven():
     quarter, full, time = read_vehicle("quarter_car"), read_vehicle("full_car"), np.arange(1000) * 1e-3
     for vehicle, road, words in (
         (quarter, Bump(length=0.0249), "the road takes only 0.00199 s, less than two timesteps of 0.001 s"),
-        (quarter, ScaledRoad(Pothole(track="left"), 2.0), "left needs two tracks, but a quarter_car has only one"),
-        (full, Bump(height=0.9e-5), "height is at most 9e-06 m in 0.999 s of the run, and heights below 1e-05 m"),
+        (
+            quarter,
+            ScaledRoad(Pothole(track="left"), 2.0),
+            "left needs a vehicle with a left and a right track, but a quarter_car has only one track",
+        ),
+        (full, Bump(height=0.9e-5), "height is at most 9e-06 m during the 0.999 s of the run, but heights below 1e-05 m"),
     ):
         with pytest.raises(InputError, match=words):
             road.check(vehicle, time)

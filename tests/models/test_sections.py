@@ -165,7 +165,7 @@ def test_a_key(section, name, key):
     if isinstance(key, ListedValues) and key.least:
         line([], rf"^\[here\] {name} = \[\] is not allowed; give a list of at least \w+ value")
     if type(key) is AnyTable:
-        line(1.0, rf"^\[here\] {name} = 1.0 is not a table; write its name in single brackets")
+        line(1.0, rf"^\[here\] {name} = 1.0 is not a table; write the name of the table in single brackets")
     if isinstance(key, BySignal):
         (signal, *_) = CONTEXT[key.names]
         line({"colour": 1.0}, rf"^\[here\] {name}: unknown \w+ 'colour'; give one of {signal}")
@@ -206,7 +206,7 @@ def test_numbers(section, name, key):
 def test_a_text(kind, choose):
     """In a text, as on a command line, a number may have its unit; what is wrong with a setting is a line that names the text."""
     section = {**OBSTACLES, **LOADS}[kind]
-    with refused(match=rf"^(road|load) '{kind}:colour=1': 'colour=1' is not a setting NAME=VALUE; NAME must be one of \w+"):
+    with refused(match=rf"^(road|load) '{kind}:colour=1': 'colour=1' does not have the form NAME=VALUE; NAME must be one of \w+"):
         choose(f"{kind}:colour=1")
     for name, key in keys(section).items():
         if isinstance(key, SI) and (name != "speed" or kind == "flat"):
@@ -243,8 +243,8 @@ def test_a_parameter(name):
         ("[limits]\nsuspension_stroke = { bump = 3 mm, rebound = 4 }", 'as in "3 mm"'),
         ("[limits]\nactuator_force = 1\nactuator_force = 2", "a key or a section appears twice, so omit one of the two"),
         ('[implementation]\nsample_period = "5 ms"\ndelay = "2 sample periods"', "unit of s is expected"),
-        ("[payload]\nmass = 1\n[payload.driver]\nmass = 80", "write mass in a section [payload.NAME], too"),
-        ('[controllers]\nmeasured = ["sprung_velocity"]', "write it in a section [controllers.NAME]"),
+        ("[payload]\nmass = 1\n[payload.driver]\nmass = 80", "move mass into a section [payload.NAME] of its own"),
+        ('[controllers]\nmeasured = ["sprung_velocity"]', "into a section [controllers.NAME]"),
         ('[controllers.x]\nmeasured = ["sprung_velocity"]\nbounds = [{ norm = "8 mm" }]', "omit unit and quotes, as in 8"),
         ('[controllers.x]\nmeasured = ["sprung_velocity"]\nbounds = [{ norm = "8" }]', "has no unit; omit the quotes"),
         ("[limits]\nsuspension_stroke_front = 0.1", "write suspension_stroke in a section [limits.front]"),

@@ -189,10 +189,14 @@ def test_a_campaign_samples_the_numbers_of_the_damper():
     [
         (OF_FILE, '[actuators]\nkind = "force"', "largest_voltage and [actuators] both control control_force"),
         (OF_FILE, '[actuators]\nkind = "damper"\nc_min = 100\nc_max = 900', "omit one of the two"),
-        (OF_FILE, "[limits]\nactuator_force = 900", "actuator_force is for force actuators, but [parts.mr]"),
-        (OF_FILE, f'[parts.b]\nkind = "dahl"\n{KINDS["dahl"]}\n{OF_FILE}', "both control control_force; omit one"),
+        (OF_FILE, "[limits]\nactuator_force = 900", "actuator_force applies only to force actuators, but [parts.mr]"),
+        (
+            OF_FILE,
+            f'[parts.b]\nkind = "dahl"\n{KINDS["dahl"]}\n{OF_FILE}',
+            "both control control_force, but only one element can; omit",
+        ),
         ("largest_voltage = 2.0\nvoltage = 3.0", "", "voltage = 3 V, which acts without a command, is above"),
-        ("bandwidth = 9.0", "", "bandwidth acts only on a voltage that changes"),
+        ("bandwidth = 9.0", "", "bandwidth has no effect, because the voltage does not change"),
         (
             OF_FILE,
             '[controllers.f]\nmeasured = ["control_force"]\ngain = [[0.1]]',

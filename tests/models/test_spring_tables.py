@@ -103,7 +103,7 @@ def test_a_heading_decides_the_sign(tmp_path, heading, sign):
 @pytest.mark.parametrize("more", [OF_FILE, '[limits]\nstop = "a.csv"'])
 def test_a_heading_without_a_direction_is_asked_about(tmp_path, heading, more):
     """A spring's or a stop's table that does not tell which direction is positive is refused with that question."""
-    with refused("column 1 is called", "does not tell the positive direction; write compression or extension in its"):
+    with refused("column 1 is called", "does not state the positive direction; write compression or extension in the"):
         read_with(tmp_path, more, a=f"{heading}\n-50,-900\n0,0\n50,1500\n")
 
 
@@ -134,18 +134,30 @@ GRID = "velocity [m/s] / deflection [m] / force [N],-0.05,0.03\n-1,-3000,-2000\n
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ('[limits]\nstop = { rebound = "c.csv" }', "rebound: its table has no force in extension, only in compression"),
-        ('[limits]\nstop = { bump = "e.csv" }', "bump: its table has no force in compression, only in extension"),
+        (
+            '[limits]\nstop = { rebound = "c.csv" }',
+            "rebound: every force of its table in extension is 0, and only compression has forces",
+        ),
+        (
+            '[limits]\nstop = { bump = "e.csv" }',
+            "bump: every force of its table in compression is 0, and only extension has forces",
+        ),
         (
             '[limits]\nstop = { bump = "c.csv", rebound = "c.csv" }',
-            "or give suspension_stroke if the table is over the compression",
+            "or give suspension_stroke if the table is a function of the compression",
         ),
         (
             "[limits]\nstop = { rebound = { deflection = [0.07, 0.08], force = [1, 2] } }",
-            "without a point where contact begins",
+            "but has no point where contact begins",
         ),
-        ("[limits]\nsuspension_stroke = { bump = 0.1 }\nstop = { bump = 1e5, rebound = 1 }", "stroke is not given for rebound"),
-        ("[limits]\nsuspension_stroke = { bump = 0.1, rebound = 0.1 }\nstop = { bump = 1e5 }", "is not given for rebound"),
+        (
+            "[limits]\nsuspension_stroke = { bump = 0.1 }\nstop = { bump = 1e5, rebound = 1 }",
+            "stop_stiffness is given without suspension_stroke; give both for rebound",
+        ),
+        (
+            "[limits]\nsuspension_stroke = { bump = 0.1, rebound = 0.1 }\nstop = { bump = 1e5 }",
+            "give both for rebound, or neither",
+        ),
         ('[curves]\nsuspension_stiffness = { file = "s.csv", preload = true }', "positive in compression, call them compression"),
         (
             '[curves]\nsuspension_damping = [300, { file = "grid.csv" }]',
@@ -335,9 +347,13 @@ def test_a_log_in_matlab_and_a_velocity_of_the_other_sign(tmp_path):
         ("t [s],force [N]", "tf", "column 1 ('t [s]') is time, column 2 ('force [N]') is force; still needed: deflection"),
         ("force [N],travel [mm],temp [C]", "fxf", "column 3 ('temp [C]') is not read; still needed: time"),
         ("t [s],left force [N],right force [N],travel [mm]", "tffx", "needed: only one of force"),
-        ("t [s],compression force [N],compression [mm]", "tnx", "correct the direction in the heading of column 3 or 2"),
+        (
+            "t [s],compression force [N],compression [mm]",
+            "tnx",
+            "correct the direction that is stated in the heading of column 3 or 2",
+        ),
         ("t [s],force [N],travel [mm]", "txx", "the force neither rises nor falls with velocity"),
-        ("t [s],force [N],travel [mm]", "ffx", "give a log with an even sample rate"),
+        ("t [s],force [N],travel [mm]", "ffx", "give a log with a constant sample rate"),
         ("t [s],force [N],travel [mm]", "tft", "the displacement has fewer than two turning points on one side"),
     ],
 )

@@ -112,23 +112,29 @@ def test_a_file_is_the_table_in_its_place(tmp_path, form):
 
 
 WRONG = [
-    (FILES["list"].rsplit("\n", 1)[0], "has 19 rows for 5 velocities and 4 deflections; give a row per pair"),
-    (FILES["sheet"].replace(ACROSS, "v"), "its first cell is 'v'; write quantities with units in this cell: velocity"),
+    (FILES["list"].rsplit("\n", 1)[0], "has 19 rows for 5 velocities and 4 deflections; give one row for each pair"),
+    (
+        FILES["sheet"].replace(ACROSS, "v"),
+        "its first cell is 'v', but it must contain the quantities with their units; write in this cell: velocity",
+    ),
     (
         FILES["sheet"].replace("deflection", "travel"),
-        "'travel' does not tell which direction is positive; write deflection (positive in ext",
+        "'travel' does not state the positive direction; write deflection in this heading (positive in ext",
     ),
     ({"force": F[:4]}, "force has 4 lists, of 4 numbers; give 5 lists, one for each velocity, of 4 numbers"),
     ({"v": V[::-1]}, "velocity goes from 0.8 to 0.25 m/s at point 2; sort the points by velocity, and give each value once"),
-    ({"v": 1e3 * V}, "velocity goes from -900 to 800, but at most 50 m/s is allowed; give values in m/s, not in mm/s"),
-    ({"v": V + 1}, "velocity goes from 0.1 to 1.8 m/s; give values on both sides of equilibrium"),
-    ({"d": D + 0.1}, "deflection goes from 0.06 to 0.135 m; give a range that contains 0"),
+    (
+        {"v": 1e3 * V},
+        "velocity goes from -900 to 800, but at most 50 m/s is allowed; check that the values are in m/s, not in mm/s",
+    ),
+    ({"v": V + 1}, "velocity goes from 0.1 to 1.8 m/s, but both sides of equilibrium are needed"),
+    ({"d": D + 0.1}, "deflection goes from 0.06 to 0.135 m, but it must contain 0"),
     (
         {"force": F + 50},
         "at deflection -0.04 m: its force at rest is 50 N, but a damper has no force at rest; subtract the gas force",
     ),
     ({"force": -F}, "at deflection -0.04 m: its force at -0.9 m/s is 1500 N, which would supply energy"),
-    ({"force": F * np.array([[0.1, 1, 1, 1, 1]]).T}, "at deflection -0.04 m: its force falls below its first point"),
+    ({"force": F * np.array([[0.1, 1, 1, 1, 1]]).T}, "at deflection -0.04 m: its force continues to fall below its first point"),
     (
         {"more": '[actuators]\nkind = "damper"\nc_min = 300.0\nc_max = 4000.0'},
         "depends on velocity and deflection, but [actuators] gives this suspension",

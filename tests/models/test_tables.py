@@ -74,13 +74,16 @@ def test_every_dialect_is_the_same_table(caller, tmp_path):
 
 WRONG = [  # the text of a file of a load, what the message says
     ("time [s];heave [N]\n0;1\n1;2,5,3\n", "line 3, column 2: '2,5,3' is not a finite number; give"),
-    ("time [s];heave [N]\n0;1\n1;1.234,5\n", "numbers contain both commas and dots: line 3 has '1.234,5'; write"),
+    ("time [s];heave [N]\n0;1\n1;1.234,5\n", "numbers contain both a comma and a dot: line 3 has '1.234,5'; write"),
     ("time [s] heave [N]\n1.300,0 1\n1400 2\n", "line 2, column 2: '0 1' is not a finite number"),
     ('time [s],heave [N]\n"0,5","-1.350"\n', "line 2 has '0,5' and line 2 has '-1.350'; write"),
     ("time [s];heave [N]\n0;1.250\n1;2,5\n", "line 2 has '1.250' and line 3 has '2,5'; write"),
-    ("time [s];heave [N]\nx;1\n1;2\n", "the heading of column 2 is '1', not a name; put # before lines that are not headings"),
-    ("survey\ntime [s],heave [N],pitch [N m]\n0,1\n1,2\n", "no line above line 3 has headings for its 2 column(s); give"),
-    ("0,1\n1,2\n", "no line above line 1 has headings for its 2 column(s)"),
+    ("time [s];heave [N]\nx;1\n1;2\n", "the heading of column 2 is '1', not a name; put # before each line above"),
+    (
+        "survey\ntime [s],heave [N],pitch [N m]\n0,1\n1,2\n",
+        "no line above line 3 has one heading for each of the 2 column(s); give",
+    ),
+    ("0,1\n1,2\n", "no line above line 1 has one heading for each of the 2 column(s)"),
     ("time,heave\ns,furlong\n0,1\n1,2\n", "column 1 is called 's', which is not one of heave"),
     ("time [s],heave [N]\nms,N\n0,1\n1,2\n", "the headings 'time [s]' and 'ms' of column 1 contradict each other"),
     (f"time [s],heave [N]\n0,1\n1,{'1' * 140_000}\n", "is not a finite number; give"),
@@ -88,14 +91,14 @@ WRONG = [  # the text of a file of a load, what the message says
     ("time [s],heave [N]\n# nothing\n", "no line of numbers; give"),
     ("time [s],heave [N]\n0,1\n1\n", "line 3 has 1 column(s), but line 2 has 2"),
     ("", "is empty", "time [s]"),
-    ("time [s], pitch [N m], heave [N]\n5, 0, 1\n6, 0, 1\n", "begins at 5 s, but heave is not 0", "begin at 0 s"),
+    ("time [s], pitch [N m], heave [N]\n5, 0, 1\n6, 0, 1\n", "begins at 5 s, but heave is not 0", "begin the file at 0 s"),
     ("time, pitch\n0, 0\n1, 1\n", "column 1, 'time', has no unit (allowed: ms, s); write the heading time [s]"),
     ("time [s], pitch [N]\n0, 0\n1, 1\n", "column 2, 'pitch [N]', has the unit 'N' (allowed: N m, kN m"),
     (
         "time [s], yaw [N m]\n0, 0\n1, 1\n",
         "is called 'yaw [N m]', which is not one of heave (positive: up), pitch (positive: nose down)",
     ),
-    ("time [s], pitch [N m], pitch [N m]\n0, 0, 0\n1, 1, 1\n", "two columns are called 'pitch'; remove one"),
+    ("time [s], pitch [N m], pitch [N m]\n0, 0, 0\n1, 1, 1\n", "two columns are called 'pitch'; remove or rename one"),
     ("pitch [N m], roll [N m]\n0, 0\n1, 1\n", "only the columns pitch, roll"),
     ("time [s], pitch [N m]\n0, 0\n2, 1\n1, 1\n", "line 4", "time 1 s is not after", "sort"),
     ("time [s], pitch [N m]\n" + "".join(f"{i}, 1\n" for i in range(20_001)), "20001 row(s)", "to 20000"),
@@ -113,7 +116,7 @@ def test_wrong_tables(row):
 def test_one_decimal_mark(caller, tmp_path):
     """Every caller refuses decimal commas together with dots, which may separate thousands."""
     text = "\n".join(written(caller, ";", ",", "", False, "beside")).replace("12,5", "1.250")
-    with refused("numbers contain both commas and dots: line", "and line"):
+    with refused("numbers contain both a comma and a dot: line", "and line"):
         read(caller, text, tmp_path)
 
 

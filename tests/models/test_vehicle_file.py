@@ -61,7 +61,7 @@ OF_CARS = [  # vehicle, replaced in its file, by this, what the message says
     ("half_car_roll", '"roll"', '"yaw"', ["plane = 'yaw'", "'half_car'", "give one of pitch, roll"]),
     ("quarter_car", "[parameters]", 'plane = "roll"\n[parameters]', ["plane = 'roll'", "'quarter_car'", "omit the line"]),
     ("half_car_roll", "[performance]", "pitch_inertia = 9\n[performance]", ["only heaves and rolls", "omit plane"]),
-    ("half_car_roll", "[performance]", "centre_offset = 0.8\n[performance]", ["not between the wheels", "0.755 m"]),
+    ("half_car_roll", "[performance]", "centre_offset = 0.8\n[performance]", ["beyond the wheels", "0.755 m"]),
 ]
 
 VELOCITY = '[controllers.mine]\nmeasured = ["sprung_velocity"]'
@@ -78,7 +78,10 @@ ADDED = {
         ('order = "half"', "order = 'half' is unknown; give one of full"),
         ('design = "lqr"', 'design = "lqr" uses the full state'),
         ("gain = [[-100.0]]\nanti_windup = 20.0\n[limits]\nactuator_force = 40.0", "static gain has no states that can wind up"),
-        ('design = "preview"', "needs a preview time, the range of the road sensor divided by the speed; give it in seconds"),
+        (
+            'design = "preview"',
+            "needs a preview time (the range of the road sensor divided by the speed); give the preview time in seconds",
+        ),
         ('design = "preview"\npreview = 0.5', 'design = "preview" uses the full state'),
         ("preview = 1.0", "preview needs a law in Python or design"),
         *((f'law = "{law}"', "is not a law in Python") for law in ("../mine.py:step", "/etc/mine.py:step", "mine.py")),
@@ -91,9 +94,9 @@ ADDED = {
         ("order = true", "order = True is unknown"),
         ("pid = { kp = 1.0, kd = 2.0 }", "pid has kd but no filter"),
         ("pid = { kp = 1.0, filter = 2.0 }", "pid has a filter, which acts only on the derivative"),
-        ("pid = { kp = 1.0 }\nA = [[1.0]]", "has both pid and A, but a controller has only one law"),
+        ("pid = { kp = 1.0 }\nA = [[1.0]]", "has both pid and A, but a controller can have only one law"),
         ("pid = { kp = [1.0, 2.0] }", "pid] kp = [1.0, 2.0] is not allowed; give a number, or a list of 1"),
-        ('structure = "pid"\npid = { kp = 1.0 }', 'structure = "pid" designs the gains, but pid already gives kp'),
+        ('structure = "pid"\npid = { kp = 1.0 }', 'structure = "pid" asks for a design of the gains, but pid already gives kp'),
         ('structure = "pi"\npid = { filter = 1.0 }', 'structure = "pi" has no derivative'),
     ],
     ("quarter_car", f"{VELOCITY}\ngain = [[1.0]]"): [
@@ -102,7 +105,7 @@ ADDED = {
         ("tolerance = { force = { numerator = [1.0], denominator = [1.0, 1.0] } }", "give the largest relative error"),
     ],
     ("half_car", "[controllers.mine]"): [
-        ('measured = ["suspension_deflection_front", "heave_velocity"]\nstructure = "corner"', "is not from a corner")
+        ('measured = ["suspension_deflection_front", "heave_velocity"]\nstructure = "corner"', "does not belong to a corner")
     ],
     ("quarter_car", ""): [
         *(
@@ -111,31 +114,34 @@ ADDED = {
         ),
         ("[controllers.my law]", "not valid TOML", "my_law for"),
         ("sprung mass = 500", "not valid TOML", "sprung_mass for"),
-        ('[controllers.rig]\nmeasured = ["sprung_displacement"]', "is a height above a flat datum, which no sensor on a car"),
+        (
+            '[controllers.rig]\nmeasured = ["sprung_displacement"]',
+            "is a height above the datum of a flat road, which no sensor on a car",
+        ),
     ],
-    ("quarter_car", "[controllers.mine]"): [('semi_active = "skyhook"', "but control_force has none; give [actuators]")],
+    ("quarter_car", "[controllers.mine]"): [('semi_active = "skyhook"', "but control_force has none; add [actuators]")],
     ("quarter_car", "[payload]"): [
         ("mass = 60.0\nx = 0.5", "[payload]", "does not pitch"),
         ("mass = 60.0\ny = 0.5", "[payload]", "--load payload:y="),
         ("mass = 200.0\n[limits]\nsuspension_stroke = 0.07\nstop_stiffness = 1e5", "[payload]", "beyond the bump stroke"),
     ],
     ("quarter_car", "[actuators]"): [
-        ('kind = "damper"\nc_max = 4e3', "c_min is missing; give c_min and c_max"),
+        ('kind = "damper"\nc_max = 4e3', "c_min is missing; give both c_min and c_max"),
         ('kind = "damper"\nc_min = 4e3\nc_max = 4e3', "c_min = 4000 N s/m is not below c_max = 4000 N s/m; give a smaller"),
         ('kind = "damper"\nc_min = nan\nc_max = 4e3', "c_min = nan is not allowed; give a number from 0 to"),
         (
             'kind = "damper"\nc_min = 500.0\nc_max = 4e3',
-            "suspension_damping = 400 N s/m, the damping without a command, is not between",
+            "suspension_damping = 400 N s/m, the damping coefficient without a command, is not between",
         ),
         ("c_min = 300.0", 'has c_min without kind = "damper"'),
     ],
     ("quarter_car", DAMPER): [
         ("[actuators.front]\nc_min = 1", "is not a suspension of this vehicle"),
-        ("[limits]\nactuator_force = 900.0", "[limits] actuator_force is for force actuators"),
+        ("[limits]\nactuator_force = 900.0", "[limits] actuator_force applies only to force actuators"),
     ],
     ("quarter_car", "[curves]"): [
         (f"{RATIO}\n{DAMPER}\n{OWN}", "but no sensor measures the force of a damper at a motion ratio over travel"),
-        (f"{RATIO}\n[payload]\nmass = 5e3", "the equilibrium moves beyond the table"),
+        (f"{RATIO}\n[payload]\nmass = 5e3", "the static deflection is outside the table"),
         (f"suspension_damping = {LINE}", "suspension_damping is in both [parameters] and [curves]"),
         (f"sprung_mass = {LINE}", "'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"),
         (RATIO.replace("0.7, 0.5", "0.3, 2.9"), "changes so fast with travel that the preload"),
@@ -144,26 +150,29 @@ ADDED = {
         ("minimise = { band = [8.0, 4.0] }", "[controllers.mine.minimise] band = [8.0, 4.0] is not allowed"),
         ("minimise = { band = [4.0, inf] }", "minimise] band = [4.0, inf] is not allowed; give the lowest and highest"),
         ('minimise = { signals = "speed" }', "minimise] signals: unknown signal 'speed'"),
-        ('minimise = { over = "regret" }', "which needs a family"),
+        ('minimise = { over = "regret" }', "over which the regret is computed"),
         ("bounds = [{ norm = 8.0, decay = 1.0 }]", "is not allowed; give a bound, one of"),
-        ("tolerance = { tyre_deflection = 0.1 }", "unknown key 'tyre_deflection'", "force is all forces"),
-        ("tolerance = { force = 0.1, control_force = 0.1 }", "which means all forces, and a single force; give one of the two"),
+        ("tolerance = { tyre_deflection = 0.1 }", "unknown key 'tyre_deflection'", "force stands for all forces"),
+        (
+            "tolerance = { force = 0.1, control_force = 0.1 }",
+            "which stands for all forces, and a single force; give only one of the two",
+        ),
         ("family = [{ sprung_mass = 0 }]", "family[0].sprung_mass = 0 is not allowed"),
         ("family = [{ colour = 2 }]", "family[0]: unknown parameter 'colour'"),
         ("structure = [[0, 0]]", "has only zeros"),
-        ("noise = true", "has noise = true, but [implementation] gives no noise on its measured signals"),
+        ("noise = true", "has noise = true, but [implementation] gives no noise of the measured signals"),
         (
             "noise = true\n[implementation]\nnoise = { unsprung_velocity = 0.1, sprung_velocity = 0.0 }",
-            "gives no noise on its measured signals",
+            "gives no noise of the measured signals",
         ),
         ("lag = true", "has lag = true, but ", "has no actuator_bandwidth"),
-        ("pid = { kp = 1.0 }", "needs one measured signal for each force, but measured has 2 signal(s) for 1 force"),
-        (f"{LAW}\nanti_windup = 20.0", "has anti_windup, but no limit clips its forces"),
+        ("pid = { kp = 1.0 }", "needs one measured signal for each force, but measured lists 2 signal(s) for 1 force"),
+        (f"{LAW}\nanti_windup = 20.0", "has anti_windup, which acts only when forces are clipped, but no limit clips the forces"),
     ],
     ("quarter_car_semi_active", "[controllers.mine]"): [
         (
             'design = "preview"\npreview = 0.5',
-            "applies forces before the wheels reach a bump, but semi-active dampers only resist motion",
+            "applies forces before the wheels reach a bump, but semi-active dampers can only resist motion",
         ),
         ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix' (this law has no keys)"),
         ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured' (its keys are"),
@@ -174,7 +183,7 @@ ADDED = {
         ("delay = 51", "delay = 51", "from 0 to 50"),
         ('sample_period = 0.005\ndelay = "0.5"', "delay = '0.5' has no unit; add the unit, as in \"1.5 s\", or omit the quotes"),
     ],
-    ("quarter_car_semi_active", VELOCITY): [("mix = 0.5", "mix needs a semi-active law; give it")],
+    ("quarter_car_semi_active", VELOCITY): [("mix = 0.5", "mix needs a semi-active law, but the section names none")],
     ("full_car", ""): [
         (
             "[limits.middle]\nsuspension_stroke = 0.1",
@@ -195,16 +204,22 @@ ADDED = {
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
         (
             "stop = { compression = [0.02, 0.03], force = [0, 500] }\nsuspension_stroke = 0.07",
-            "has a gap of 0.02 m, but suspension_stroke is 0.07 m; omit one of these gaps",
+            "begins with a gap of 0.02 m, but suspension_stroke already gives a gap of 0.07 m; omit one of the two gaps",
         ),
         (
             "stop = { compression = [0, 0.01], force = [0, 500] }",
-            "pushes back with 500 N at 0.01 m, without a point where contact begins",
+            "pushes back with 500 N at 0.01 m, but has no point where contact begins",
         ),
-        ("stop = { compression = [0.01, 0.02, 0.03], force = [0, 500, -1] }", "bump: its table pulls with 1 N at 0.03 m"),
+        (
+            "stop = { compression = [0.01, 0.02, 0.03], force = [0, 500, -1] }",
+            "bump: its table gives a pulling force of 1 N at 0.03 m",
+        ),
         ("stop = { compression = [0.01, 0.02, 0.03], force = [0, 500, 400] }", "its table ends with a falling force, 400 N"),
         ("stop = { compression = [0.01, 0.02], force = [0, 0] }", "has a table in which every force is 0"),
-        ("stop = { compression = [10, 20], force = [0, 500] }", "at most 5 m is allowed; give values in m, not in mm"),
+        (
+            "stop = { compression = [10, 20], force = [0, 500] }",
+            "at most 5 m is allowed; check that the values are in m, not in mm",
+        ),
         ("stop = { compression = [0.01, 0.02], force = [0, 500] }\nstop_stiffness = 3", "two names of the same key; omit one"),
         ("stop = 1e5", "a bump stop needs both"),
         ('actuator_bandwidth = 1.0\nlimit = "command"', "limit = 'command', but no actuator_force; give actuator_force [N]"),

@@ -223,7 +223,7 @@ def test_a_chosen_controller_that_is_not_drawn_stands_as_it_is(campaign, capsys)
     folder, _ = campaign
     options = ["--best", "force_peak", "--save", str(folder / "saved.toml"), "--brief"]
     (folder / "saved.toml").write_text(CAR)
-    with refused("saved.toml exists and was not written by --save"):
+    with refused("saved.toml already exists, but was not written by --save"):
         main([str(folder / "campaign.toml"), *options])
     (folder / "saved.toml").unlink()
     for _ in range(2):  # it replaces what it wrote
@@ -276,14 +276,14 @@ def test_bad_requests(tmp_path, monkeypatch, options, said):
         ("[samples.controllers.hybrid]\nmix = { uniform = [0, 2] }", "mix = 2.0 is not allowed; give a number from 0 to 1"),
         (
             "[samples.controllers.hybrid]\nmix = { uniform = [0, 2], relative = true }",
-            "vehicle 'car.toml': the file gives no mix, so its distribution cannot be relative",
+            "vehicle 'car.toml': the vehicle file gives no value of mix, so the distribution cannot be relative",
         ),
-        ("[samples.controllers.hybrid]", "[samples.controllers.hybrid] samples nothing; give a key of the law"),
+        ("[samples.controllers.hybrid]", "[samples.controllers.hybrid] gives no key of the law to sample"),
         ('[samples.controllers.sky]\n"gain[0][1]" = { uniform = [0, 1] }', "'gain[0][1]' cannot be sampled; sample one of gain"),
         ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "'skyhook' has no numbers in the vehicle file"),
         (
             '[samples.controllers.I]\n"gain[0][0]" = { uniform = [0, 1] }',
-            "controller 'I' has no numbers in the vehicle file to sample",
+            "controller 'I' has no numbers in the vehicle file to sample, because its law",
         ),
         ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' has no numbers in the vehicle file"),
         ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' has no numbers in the vehicle file"),
@@ -306,7 +306,7 @@ def test_what_cannot_be_saved_is_refused_before_the_runs(tmp_path, monkeypatch):
     inline = f"controllers = {{ {', '.join(laws)} }}\n{CAR.partition('[controllers')[0]}"
     check_refused(tmp_path, monkeypatch, FILE, save, "write each controller as [controllers.NAME]", inline)
     both = FILE.replace('["car.toml"]', '["car.toml", "quarter_car_semi_active"]')
-    check_refused(tmp_path, monkeypatch, both, save, "--save needs a campaign with one vehicle, not 2")
+    check_refused(tmp_path, monkeypatch, both, save, "--save needs a campaign with one vehicle, but this campaign has 2")
 
 
 def check_refused(tmp_path, monkeypatch, text, options, said, car=CAR):

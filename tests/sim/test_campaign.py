@@ -457,11 +457,11 @@ BAD_FILES = [
     ({"seeds": "20000000"}, "", "or a list of seeds"),
     ({"settle": "8.0"}, "", "settle = 8 s is too long for runs of 10 s"),
     ({"timestep": "0.1"}, "", "RK4 is unstable"),
-    ({}, "[samples]\ncount = 4\n", "lists nothing to sample"),
+    ({}, "[samples]\ncount = 4\n", "names no quantity to sample"),
     ({}, SAMPLED + "colour = { uniform = [1, 2] }", "'colour' cannot be sampled; sample one of sprung_mass"),
     ({}, SAMPLED + "sprung_mass = 3", "sprung_mass = 3 is not a distribution"),
     ({}, SAMPLED + "sprung_mass = { cauchy = [1, 2] }", "is not a distribution; give sprung_mass = { uniform = [low, high] } or"),
-    ({}, SAMPLED + "sprung_mass = { uniform = [500, 400] }", "has no width"),
+    ({}, SAMPLED + "sprung_mass = { uniform = [500, 400] }", "covers no range"),
     (
         {},
         SAMPLED + "sprung_mass = { uniform = [-10, 400] }",

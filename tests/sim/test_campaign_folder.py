@@ -162,7 +162,7 @@ def test_verify_finds_other_numbers(whole, tmp_path, capsys, forgery):
     ("arguments", "said"),
     [
         ([], "the campaign file is missing"),
-        (["--verify", "{begun}"], "runs are not finished"),
+        (["--verify", "{begun}"], "runs of the campaign are not finished"),
         (["--verify", "{empty}"], "this folder contains no campaign"),
         (["--verify", "{whole}", "--workers", "2"], "--workers cannot be combined with --verify"),
         (["campaign.toml", "--seed", "1"], "--seed needs --verify"),
@@ -187,7 +187,7 @@ def test_verify_changes_nothing(whole, begun, tmp_path):
     """--verify, which holds no folder, changes none: parts stay that a campaign, perhaps at work there, has to judge."""
     cut(again(begun, tmp_path))
     before = contents(tmp_path / "results")
-    with pytest.raises(InputError, match=f"of {RUNS} runs are not finished"):
+    with pytest.raises(InputError, match=f"of {RUNS} runs of the campaign are not finished"):
         main(["--verify", str(tmp_path / "results"), str(begun.parent / "campaign.toml")])
     assert contents(tmp_path / "results") == before
     for path in whole[0].iterdir():  # a finished folder with parts that its campaign is about to remove

@@ -141,12 +141,12 @@ def none(parts):
 
 
 REFUSED = [
-    (none, "contains no parts of a campaign; run them with --part"),
+    (none, "contains no finished part of a campaign; first run each part with --part"),
     (drop, "part 2 of 3 is missing; run"),
     (cut, "part 2 of 3 is missing and part 1 of 3 is not finished; run"),
     (other_number, "the parts 1/3 and 2/20 of this campaign overlap"),
-    (other_part, "2-of-3 does not contain part 2/3, but 1/3"),
-    (other_rows, "this file does not contain the rows of this part"),
+    (other_part, "2-of-3 should contain part 2/3 of the campaign, but contains 1/3"),
+    (other_rows, "this file does not contain the results of this part"),
     (changed("digest", lambda digest: "0"), "2-of-3 contains the results of another campaign"),
     (changed("versions", lambda old: {**old, "roadproof": "0.1"}), "2-of-3 was started with roadproof 0.1, but"),
     (changed("controllers", lambda old: {**old, "half_car": {}}), "part 2/3 was simulated with gains that differ"),
@@ -182,7 +182,7 @@ def test_the_campaign_file_has_changed(parts, tmp_path):
         (["--part", "1/3", "--merge"], "--merge cannot be combined with --part"),
         (["--part", "1/3", "--best", "ride"], "--best cannot be combined with --part"),
         (["--merge", "--workers", "2"], "--workers cannot be combined with --merge"),
-        ([], "contains parts of a campaign; merge them with --merge"),
+        ([], "contains parts of a campaign; merge the parts with --merge"),
     ],
 )
 def test_bad_options(parts, arguments, said):
@@ -198,7 +198,7 @@ def test_parts_are_not_verified(parts, tmp_path):
             main(["--verify", str(parts / "campaign-results" / folder)])
     copied(parts, tmp_path)
     assert main([str(tmp_path / "campaign.toml"), "--merge"]) == 0
-    with refused("contains the whole campaign; omit --part"):
+    with refused("contains the whole campaign, not a part; omit --part"):
         main([str(tmp_path / "campaign.toml"), "--part", "1/3"])
 
 

@@ -193,14 +193,14 @@ def test_a_campaign_is_driven_by_code(folders, capsys):
     assert campaign([command[0], "--brief", "--results", str(folders / "code")]) == 0
     assert "controllers that run as compiled code: law in double" in capsys.readouterr().out
     assert campaign(["--verify", str(folders / "code")]) == 0
-    with pytest.raises(InputError, match="this campaign was started without this exported controller"):
+    with pytest.raises(InputError, match="this folder was started without this exported controller"):
         campaign([*command, str(folders / "code"), "--as", str(folders / "float")])
 
 
 @pytest.mark.parametrize(
     ("vehicle", "controller", "said"),
     [
-        (LAW + BUILT + WIDE, "I", "is code of 'law', but --controller gives I"),
+        (LAW + BUILT + WIDE, "I", "contains code of 'law', but --controller gives I"),
         (LAW.replace("4000.0", "4001.0") + BUILT + WIDE, "law", "the law of controller 'law' has changed since the export"),
         (LAW.replace("sample_period = 0.005\nanti_windup = 5.0\n", "") + WIDE, "law", "sample_period = 0.005 instead of None"),
         (LAW + BUILT + "delay = 2\n" + WIDE, "law", "delay = 0 instead of 2"),
@@ -235,7 +235,7 @@ def test_without_a_compiler_one_line_says_so(folders, monkeypatch):
 
     compiled._library.cache_clear()
     options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--no-logs"]
-    with pytest.raises(InputError, match="there is no C compiler; install cc, or"):
+    with pytest.raises(InputError, match="there is no C compiler on this machine; install cc, or"):
         bump([*options, "--as", str(folders / "double")])
 
 

@@ -220,7 +220,7 @@ def test_a_rate_that_is_never_reached_changes_no_bit():
     [
         (
             ['limit = "force"', "actuator_force = 1e3", "actuator_bandwidth = 60"],
-            r"with a rate limit, actuator_force also limits the commands",
+            r"with force_rate, actuator_force also limits the commands",
         ),
         (["[limits.front]", "force_rate = 1e3"], r"\[limits.front\]"),
         (["[actuators]", 'kind = "damper"', "c_min = 300", "c_max = 4e3"], r"force_rate"),
@@ -236,5 +236,8 @@ def test_requests_of_another_shape_are_refused():
         def step(self, k, y, ahead, state):
             return self.gain * y[0], state
 
-    with pytest.raises(InputError, match=r"driver Flat: step returns forces of shape \(1,\); expected \(1, 1\), a row per run"):
+    with pytest.raises(
+        InputError,
+        match=r"driver Flat: step returns forces of shape \(1,\); return the shape \(1, 1\), with one row for each run",
+    ):
         run(read_vehicle("quarter_car"), Flat(), ROAD, 1.0)

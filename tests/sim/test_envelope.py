@@ -360,7 +360,7 @@ def test_picture_is_the_cells(limited, designer):
     ("refused", "allowed", "words"),
     [
         ("speed:12:834:2", "speed:12:833:2", "less than two timesteps"),  # 5 m in 6 ms, two timesteps of 3 ms
-        ("speed:1.66:12:2", "speed:1.67:12:2", "but a run lasts only 3 s"),  # 5 m in 3 s
+        ("speed:1.66:12:2", "speed:1.67:12:2", "but each run lasts only 3 s"),  # 5 m in 3 s
     ],
 )
 def test_bumps_fit_the_run(refused, allowed, words):

@@ -425,7 +425,7 @@ def test_a_log_in_parquet(tmp_path, monkeypatch):
     np.testing.assert_allclose(read.signals[TRAVEL], [1e-3, np.nan, 3e-3, 4e-3])
     np.testing.assert_allclose(read.time, [0.0, 0.1, 0.2, 0.3])
     monkeypatch.setattr("models.common.table.MOST_BYTES", 100)
-    with pytest.raises(InputError, match="shorten it, or resample it"):
+    with pytest.raises(InputError, match="shorten the record, or resample it"):
         read_measured_log(tmp_path / "log.parquet", {TRAVEL: "m"})
 
 
@@ -563,7 +563,7 @@ def test_a_log_without_noise_is_no_evidence_against_the_vehicle(tmp_path):
 def test_a_channel_without_values_is_refused():
     """A channel of NaN alone, or a road with a gap, is one line."""
     right = log(CAR, (BODY, TRAVEL), chirp(2))
-    with pytest.raises(InputError, match=f"log: {BODY} has no value, only NaN; omit"):
+    with pytest.raises(InputError, match=f"log: {BODY} contains only NaN, no number; omit"):
         with_values(right, **{BODY: np.full(len(right.road), np.nan)})
     with pytest.raises(InputError, match="height or a force is missing"):
         replace(right, road=np.where(np.arange(len(right.road))[:, None] == 5, np.nan, right.road))
@@ -580,7 +580,9 @@ def test_a_log_whose_times_are_too_coarse_for_its_road(tmp_path):
     with pytest.raises(InputError, match=r"moves by .* in mm, write its unit in the map"):
         identify([path], CAR, log_map)
     log_map.write_text(f'{head}"d1_m [mm]"\n')
-    with pytest.raises(InputError, match=r"rad at the road.s usual .*, so the road.s phase is unknown; export times with more"):
+    with pytest.raises(
+        InputError, match=r"rad at the road.s usual .* The road.s phase is therefore unknown; export times with more"
+    ):
         identify([path], CAR, log_map)
 
 

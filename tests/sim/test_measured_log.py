@@ -162,7 +162,7 @@ def test_options_need_the_log(tmp_path):
     drive = main_of("sim.drive")
     (tmp_path / "log.csv").write_text("time [s];sprung_acceleration [m/s2]\n0;1\n1;2\n2;3\n")
     beside = ("--controller", "I", "--beside", str(tmp_path / "log.csv"))
-    with refused("--beside-start", "give its file with --beside"):
+    with refused("--beside-start", "give the file of the log with --beside"):
         drive(["--controller", "I", "--beside-start", "2"])
     with refused("--beside-column sprung_acceleration", "SIGNAL=HEADING"):
         drive([*beside, "--beside-column", "sprung_acceleration"])

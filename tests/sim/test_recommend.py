@@ -330,7 +330,7 @@ def test_every_tyre_counts():
 
 def test_command_refuses_bad_options(tmp_path):
     """Bad options are refused before any work."""
-    with refused("--class and --road exclude each other"):
+    with refused("--class and --road cannot be combined"):
         study_command("recommend", ["--class", "C", "--road", "flat"])
     with refused("--within"):
         study_command("recommend", ["--within", "speed=3"])

@@ -97,7 +97,7 @@ def test_each_vehicle_has_the_controllers_of_its_file(files, capsys):
     for names, words in ((["sky"], "does not have any of the"), (["firm", "--vehicle", files["both"]], "given twice")):
         with refused(words):
             bump.main([*pair, *options, *names])
-    with refused("--as needs one vehicle"):
+    with refused("--as simulates exported code, which needs one vehicle"):
         bump.main([*pair, "--as", "folder", *options, "firm"])
 
 

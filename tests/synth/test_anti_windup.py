@@ -227,7 +227,7 @@ def test_a_rate_that_rounding_hides_is_refused():
     law = integrator.sampled(1e-3)
     left = 1 - float((law.A - anti_windup_gain(law) @ law.C)[0, 0])
     assert left == pytest.approx(2 * 2e-3 * 1e-3, rel=1e-5)  # first order of 4e-6, and rounding of 1 + 4e-6
-    with refused("anti_windup = 0.0005", "too small for a sample period of 0.001 s: ", "; give at least 0.001"):
+    with refused("anti_windup = 0.0005", "too small for a sample period of 0.001 s, because ", "; give at least 0.001"):
         anti_windup_gain(replace(law, anti_windup=5e-4))
 
 

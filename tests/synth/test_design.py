@@ -241,7 +241,7 @@ def test_optimum_at_infinite_gain_is_said():
 def test_a_plant_without_a_state_is_refused(act):
     """Every door says so, in one line."""
     none, direct = np.zeros((0, 1)), np.ones((1, 1))
-    with pytest.raises(InputError, match=r"^A has shape \(0, 0\), a plant without states; give at least one$"):
+    with pytest.raises(InputError, match=r"^A has shape \(0, 0\), so the plant has no states; give at least one state$"):
         act(GeneralizedPlant(np.zeros((0, 0)), none, none, none.T, direct, direct))
 
 
@@ -256,13 +256,13 @@ def test_a_plant_without_a_state_is_refused(act):
         ({"A": [["a", "b"], ["c", "d"]]}, "A is not a matrix of numbers"),
         ({"A": [[1.0, 2.0], [3.0]]}, "A is not a matrix of numbers .*rows of the same length"),
         ({"A": np.diag([-1.0 + 1e-3j, -2.0])}, "A has complex entries; give real numbers"),
-        ({"A": np.broadcast_to(0.0, (100_000, 100_000))}, r"A has shape \(100000, 100000\); no more than 2000 rows"),
-        ({"B": np.full((2, 1), 1e200)}, r"B has an entry beyond 1e\+50"),
+        ({"A": np.broadcast_to(0.0, (100_000, 100_000))}, r"A has shape \(100000, 100000\); at most 2000 rows"),
+        ({"B": np.full((2, 1), 1e200)}, r"B has an entry with a magnitude above 1e\+50; use units"),
         ({"Bw": np.full((2, 1), 1e-200)}, r"Bw has no entry above 1e-50 \(the largest is 1e-200\)"),
         ({"C": np.zeros((0, 2)), "D": np.zeros((0, 1)), "Dw": np.zeros((0, 1))}, "C has no rows"),
         ({"Bw": np.zeros((2, 0)), "Dw": np.zeros((2, 0))}, "Bw has no columns, so there is no norm from w to z"),
-        ({"Bw": np.zeros((2, 1))}, "no disturbance: Bw and Dw are zero"),
-        ({"C": np.zeros((2, 2))}, "the controlled output z is zero"),
+        ({"Bw": np.zeros((2, 1))}, "no disturbance acts on the plant, because all entries of Bw and Dw are zero"),
+        ({"C": np.zeros((2, 2))}, "the controlled output z is always zero"),
         ({"dt": -0.01}, "dt = -0.01 is not a sample period.*give the seconds between samples"),
         ({"dt": float("nan")}, "dt = nan is not a sample period.*give the seconds between samples"),
         ({"dt": True}, "dt = True is not a number"),
@@ -280,16 +280,16 @@ def test_matrices_that_do_not_fit(change, message):
     ("Cy", "message"),
     [
         (np.ones((1, 3)), r"Cy has shape \(1, 3\); expected \(q, 2\)"),
-        (np.zeros((0, 2)), "nothing is measured"),
+        (np.zeros((0, 2)), "no signal is measured"),
         (np.array([[1.0, 0.0], [0.0, 0.0]]), "row 1 of Cy is zero"),
         (np.array([[1.0, 0.0], [0.0, 1e-200]]), "row 1 of Cy is below 1e-50"),
-        (np.array([[1.0, 0.0], [0.0, 1e200]]), r"Cy has an entry beyond 1e\+50"),
+        (np.array([[1.0, 0.0], [0.0, 1e200]]), r"Cy has an entry with a magnitude above 1e\+50; use units"),
     ],
 )
 def test_measurements_that_do_not_fit(Cy, message):
     """So is a measurement that is none."""
     for use in (two_step_design, find_lower_bound):
-        if use is find_lower_bound and message == "nothing is measured":
+        if use is find_lower_bound and message == "no signal is measured":
             continue  # of that there is a bound
         with refused(match=message):
             use(GeneralizedPlant(**GOOD), Cy)
@@ -301,9 +301,9 @@ def test_measurements_that_do_not_fit(Cy, message):
         ({"disturbances": ["rain"]}, "unknown disturbance 'rain'; the system has control_force, road_velocity"),
         ({"disturbances": []}, "no disturbance is given"),
         ({"performance": {"noise": 1.0}}, "unknown performance signal 'noise'"),
-        ({"performance": {"tyre_deflection": 0.0}}, "the weights are all zero"),
+        ({"performance": {"tyre_deflection": 0.0}}, "all weights are zero"),
         ({"measured": ["speed"]}, "unknown measured signal 'speed'"),
-        ({"measured": []}, "nothing is measured"),
+        ({"measured": []}, "no signal is measured"),
         ({"measured": ["sprung_acceleration"]}, "'sprung_acceleration' depends directly on an input"),
     ],
 )

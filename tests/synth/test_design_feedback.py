@@ -111,7 +111,7 @@ def test_words_go_together_as_in_a_vehicle_file(pair):
 @pytest.mark.attack
 def test_words_that_say_the_same_another_way():
     """A sampled loop reads no noise between samples, and takes `noise`; LQR needs all states measured."""
-    with pytest.raises(InputError, match="omit Dyw and give noise, one rms value per signal"):
+    with pytest.raises(InputError, match="omit Dyw, and give noise instead, with one rms value for each signal"):
         design_feedback(OSCILLATOR, CY, Dyw=[[0.1]], sample_period=0.05)
     assert design_feedback(OSCILLATOR, CY, noise=[0.1], sample_period=0.05).criterion == "sampled norm"
     with pytest.raises(DesignError, match="LQR feeds back all 2 states, but only 1 are measured"):
@@ -268,12 +268,12 @@ def test_descent_from_the_two_steps_keeps_the_largest_gain():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"B": np.zeros((2, 0)), "D": np.zeros((2, 0))}, "B has no columns, a plant without inputs"),
+        ({"B": np.zeros((2, 0)), "D": np.zeros((2, 0))}, "B has no columns, so the plant has no inputs"),
         ({"A": [[1, 0], [0, -1]], "B": [[0], [1]]}, "no input acts on the mode at 1 1/s"),
         ({"A": [[1, 0], [1, -1]], "B": [[1], [0]], "Cy": [[0, 1e-300]]}, "Cy is below 1e-50"),
         ({"A": [[1, 0], [0, -1]], "B": [[1], [1]]}, "none of them contains the mode at 1 1/s"),
         ({"A": [[0, 1], [1, 0]]}, "no static gain on these .* stabilises the plant, whose mode at 1 1/s does not decay"),
-        ({"Cy": np.zeros((0, 2))}, "Cy has no rows: nothing is measured"),
+        ({"Cy": np.zeros((0, 2))}, "Cy has no rows, so no signal is measured"),
     ],
 )
 def test_what_cannot_be_is_said_first(change, message, monkeypatch):
@@ -296,15 +296,15 @@ def test_words_that_need_others_or_are_none():
         ({"order": "half"}, "order = 'half' is not known; known: full, static"),
         ({"design": "pid"}, "design = 'pid' is not known; known: h2, lqg, lqr"),
         ({"noise": [0.1, 0.1]}, r"noise = \[0.1, 0.1\] is not allowed; give 1 numbers"),
-        ({"bounds": peak}, "bounds: a peak over a road is for vehicles only"),
+        ({"bounds": peak}, "bounds: a bound on a peak over a road is allowed only for vehicles;"),
         ({"minimise": {"signals": {"z9": 1.0}}}, "minimise.signals: unknown signal 'z9'; give one of z1, z2"),
         ({"structure": [[1, 1]]}, "structure = .* is not allowed; give"),
         ({"order": 3}, "order = 3 exceeds the 2 states of the plant; give at most 2"),
         ({"order": -1}, "order = -1 is not known; known: full, static, or a number of states from 0"),
         ({"structure": "pid"}, "needs the time constant of the derivative's low-pass"),
-        ({"pid": {"kp": 1.0}}, 'needs structure = "pid"; give both'),
+        ({"pid": {"kp": 1.0}}, 'applies only to structure = "pid"; give both, or omit pid'),
         ({"family": [of_lists([[-1]], [[1]], [[1]], [[1]], [[0]])]}, "Cy has shape"),
-        ({"tolerance": {"y2": 0.1}}, r"tolerance: unknown key 'y2'; give force, u1, y1 \(force is all forces\)"),
+        ({"tolerance": {"y2": 0.1}}, r"tolerance: unknown key 'y2'; give force, u1, y1 \(force stands for all forces\)"),
     ):
         with refused(match=message):
             design_feedback(OSCILLATOR, CY, **words)
@@ -371,7 +371,7 @@ def test_units_beyond_floats_hide_no_gain():
     parts: dict[str, Any]
     parts, Cy = drawn(2000)
     plant = GeneralizedPlant(**parts)
-    with pytest.raises(InputError, match="D has an entry beyond"):
+    with pytest.raises(InputError, match="D has an entry with a magnitude above"):
         two_step_design(plant, Cy)
     assert design_feedback(plant, Cy).certificate.failures == ()
 

@@ -263,7 +263,7 @@ def test_python_controls_sampled_system():
     omega = np.linspace(0, np.pi / 0.05, 50)
     theirs = np.array([weighted(np.exp(1j * at * 0.05)) for at in omega])
     np.testing.assert_allclose(plant.frequency_response(omega), theirs.reshape(50, 2, 1), rtol=1e-12, atol=1e-13)  # rounding
-    with pytest.raises(InputError, match=r"without a sample period \(dt = True\); give dt in seconds"):
+    with pytest.raises(InputError, match=r"discrete, but has no sample period \(dt = True\); give dt in seconds"):
         from_state_space(control.ss(A, B, np.eye(2), np.zeros((2, 2)), True), ["u[0]"], {"y[0]": 1.0}, ["y[1]"])
 
 

@@ -84,8 +84,8 @@ def test_bad_input(designer):
     plant, G, Cs, Ds = designer.plant, np.zeros((1, 4)), np.eye(4)[:1], np.zeros((1, 1))
     for arguments, said in [
         ((dataclasses.replace(plant, dt=0.1), G, Cs, Ds), "this function needs a continuous plant"),
-        ((plant, G, np.eye(3), Ds), r"Cs has shape \(3, 3\) and Ds \(1, 1\); expected \(p, 4\) and \(p, 1\)"),
-        ((plant, G, Cs, np.zeros((2, 1))), "expected"),
+        ((plant, G, np.eye(3), Ds), r"Cs has shape \(3, 3\) and Ds \(1, 1\); give the shapes \(p, 4\) and \(p, 1\)"),
+        ((plant, G, Cs, np.zeros((2, 1))), "give the shapes"),
     ]:
         with pytest.raises(InputError, match=said):
             energy_peaks(*arguments)

@@ -203,7 +203,7 @@ def test_a_discrete_plant_has_goals_too():
     reached = norm_in_band(plant.closed_loop(design.gain @ plant_problem.Cy), 2.0, 12.0).value
     assert design.goal == pytest.approx(reached, rel=1e-7)
     assert reached <= norm_in_band(plant, 2.0, 12.0).value
-    with pytest.raises(InputError, match="for continuous plants only"):
+    with pytest.raises(InputError, match="applies only to continuous plants"):
         multi_objective_design(replace(problem, decay=1.0), [])
 
 

@@ -23,7 +23,7 @@ def lvm_text(text: str) -> str:
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     ends = [i for i, line in enumerate(lines) if line.startswith(END)]
     if not ends:
-        raise InputError(f"the LabVIEW file has no line {END}; export the whole file")
+        raise InputError(f"the LabVIEW file has no line {END}, so it seems to be incomplete; export the whole file")
     about = {words[0]: words[1] for line in lines[: ends[0]] if len(words := line.replace(",", "\t", 1).split("\t")) > 1}
     mark = {"comma": ",", "semicolon": ";"}.get(about.get("Separator", "").strip().lower(), "\t")
     if len(ends) == 1:  # the file has a header, but its only segment of data has no header
@@ -34,13 +34,21 @@ def lvm_text(text: str) -> str:
     while names and names[-1] in ("", "Comment"):
         names.pop()
     if dimension := next((one for one in segment.get("X_Dimension", ()) if one not in ("", "Time")), ""):
-        raise InputError(f"X_Dimension is {short_repr(dimension)}, but only 'Time' is supported; export the channels over time")
+        raise InputError(
+            f"X_Dimension is {short_repr(dimension)}, but only 'Time' is supported; export the channels as functions of time"
+        )
     starts, steps = ([one for one in segment.get(key, ()) if one] for key in ("X0", "Delta_X"))
     columns = about.get("X_Columns", "One").strip().lower()
     if columns == "multi" and len({*starts}) * len({*steps}) != 1:
-        raise InputError("the channels have different X0 or Delta_X; export channels with the same times, with one X column")
+        raise InputError(
+            "the channels have different X0 or Delta_X, so they have no common times; export all channels with the same "
+            "times and a single X column"
+        )
     if columns == "no" and not (starts and steps):
-        raise InputError("X_Columns is 'No', and X0 or Delta_X is missing, so times are unknown; export one X column")
+        raise InputError(
+            "X_Columns is 'No', and X0 or Delta_X is missing, so the times of the samples are unknown; export the "
+            "channels with one X column"
+        )
     start, step = (float(one[0].replace(",", ".")) if columns == "no" else 0.0 for one in (starts, steps))
     kept = range(1, len(names), 2 if columns == "multi" else 1)
     units = [*segment.get("Y_Unit_Label", ()), *[""] * len(names)]

@@ -109,10 +109,13 @@ def read_measured_log(
         if rate is None and not clocks:
             found = first_few([short_repr(one.text) for one in headings if one.text], 8)
             raise InputError(
-                f"no column is called time (columns: {found}); name it as in time [s], or give the sample rate (--beside-rate)"
+                f"no column is called time (columns: {found}); rename the column with times, as in time [s], or give "
+                "the sample rate with --beside-rate"
             )
         if rate is not None and clocks:
-            raise InputError(f"{columns_in_words(clocks[:1])} contains times, which give the sample rate; omit --beside-rate")
+            raise InputError(
+                f"{columns_in_words(clocks[:1])} contains times, which already determine the sample rate; omit --beside-rate"
+            )
         timed = {one.column for one in clocks}
         used = _columns_of([one for one in headings if one.column not in timed], units, columns)
         clocks = clocks if clocks and clocks[0].text.startswith(PLOT_TIME) else clocks[:1]
@@ -130,16 +133,20 @@ def read_measured_log(
         time = time - time[0] if stamped else time
         for i in np.flatnonzero(np.diff(time) < 0)[:1]:
             raise InputError(
-                f"time falls from {time[i]:.9g} to {time[i + 1]:.9g} s at line {lines[i + 1]}; write each test to its own file"
+                f"time falls from {time[i]:.9g} to {time[i + 1]:.9g} s at line {lines[i + 1]}, so the file seems to "
+                "contain several tests; write each test to its own file"
             )
         new = np.append(True, np.diff(time) > 0)  # successive times may be equal after rounding
         if new.sum() < LEAST:
-            raise InputError(f"the file has {new.sum()} sample(s), but at least {LEAST} are needed")
+            raise InputError(f"the file has {new.sum()} sample(s), but at least {LEAST} are needed; give a longer log")
         values = (numbers * scales)[new].T
         signals = dict(zip(used, values, strict=True))
         for name, one in signals.items():
             if np.isfinite(one).sum() < LEAST:
-                raise InputError(f"{columns_in_words([used[name]])} has fewer than {LEAST} numbers; remove the column")
+                raise InputError(
+                    f"{columns_in_words([used[name]])} has fewer than {LEAST} numbers, too few for a comparison; remove "
+                    "the column"
+                )
         return MeasuredLog(str(path), time[new], signals, tuple(remarks), int(len(new) - new.sum()))
 
 
@@ -184,7 +191,9 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
             known = [[one for one in (given.unit, each.unit) if one and unit_size(one, one)] for each in ones]
             ones = [replace(one, unit=next(iter(some), "")) for one, some in zip(ones, known, strict=True)]
         if len(ones) > 1:
-            raise InputError(f"{columns_in_words(ones)} all have the name of the signal {name}; rename all but one")
+            raise InputError(
+                f"{columns_in_words(ones)} all have the name of the signal {name}; rename all but one of these columns"
+            )
         if name in columns and not ones:
             texts = alike(columns[name], [short_repr(one.text) for one in headings if one.text])
             raise InputError(f"no column is called {short_repr(columns[name])}; the columns are {texts}")
@@ -193,9 +202,8 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
         near = [name for one in headings for name in get_close_matches(one.name.lower().replace(" ", "_"), units, 1)]
         found = first_few([short_repr(one.text) for one in headings if one.text], 8) or "without names"
         raise InputError(
-            f"no column has the name of a signal (columns: {found}); rename one, or give --beside-column SIGNAL=HEADING; "
-            "nearest "
-            f"signals: {list_names({*near} or units)}"
+            f"no column has the name of a signal (columns: {found}); rename a column, or give --beside-column "
+            f"SIGNAL=HEADING. The nearest signals are {list_names({*near} or units)}"
         )
     return used
 
@@ -209,7 +217,7 @@ def _scale(heading: Heading, si: str, name: str) -> float:
     size = unit_size(heading.unit or si, si)
     if size is None:
         raise InputError(
-            f"{columns_in_words([heading])} has the unit {short_repr(heading.unit)}, but {name} is in {si}; write the heading "
-            f"as in {name} [{si}], and convert the column"
+            f"{columns_in_words([heading])} has the unit {short_repr(heading.unit)}, but the signal {name} needs "
+            f"{si}; convert the column, and write its heading as {name} [{si}]"
         )
     return size

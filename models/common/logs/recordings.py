@@ -31,7 +31,7 @@ def mdf_rows(path: Path) -> list[Sequence[Any]]:
         from asammdf import MDF  # pyright: ignore[reportMissingImports] - an extra
     except ImportError:
         raise InputError(
-            "an MDF4 file needs asammdf; run pip install 'roadproof[mdf]', or export it as .csv or .parquet"
+            "an MDF4 file needs asammdf; run pip install 'roadproof[mdf]', or export the recording as .csv or .parquet"
         ) from None
     columns = dict[str, tuple[Array, Array]]()
     try:
@@ -77,7 +77,9 @@ def mcap_rows(path: Path) -> list[Sequence[Any]]:
                 for numbers in fields[topic].values():
                     numbers += [math.nan] * (len(logged[topic]) - len(numbers))
     except (McapError, ValueError) as error:
-        raise InputError(f"this is not an MCAP file with JSON messages, or it is damaged ({error}); write it again") from error
+        raise InputError(
+            f"this is not an MCAP file with JSON messages, or it is damaged ({error}); write the file again"
+        ) from error
     stamped = all(np.isfinite(one).all() for one in own.values())
     first = min((one[0] for one in logged.values()), default=0)
     columns = dict[str, tuple[Array, Array]]()

@@ -51,7 +51,9 @@ class GasSpring(Part, Section):
 
     def __post_init__(self) -> None:
         if (self.load is None) == (self.pressure is None):
-            raise InputError("needs either load, the force that the gas carries at rest, or pressure; give exactly one of them")
+            raise InputError(
+                "needs either load (the force that the gas carries at rest) or pressure; give exactly one of the two keys"
+            )
 
     @property
     def whole(self) -> Number:

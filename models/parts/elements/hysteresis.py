@@ -65,10 +65,13 @@ class Hysteretic(Part):
     def __post_init__(self) -> None:
         _, b, g, _ = self.law
         if b + g <= 0:
-            raise InputError(f"beta + gamma = {b + g:g} is not allowed; give a sum above 0, so that the force is bounded")
+            raise InputError(f"beta + gamma = {b + g:g} is not allowed, because the force would be unbounded; give a sum above 0")
         if (most := self.largest_voltage) is None:
             if self.bandwidth is not None:
-                raise InputError("bandwidth acts only on a voltage that changes; give largest_voltage, or omit bandwidth")
+                raise InputError(
+                    "bandwidth has no effect, because the voltage does not change without largest_voltage; give "
+                    "largest_voltage, or omit bandwidth"
+                )
             return
         if self.voltage > most:
             raise InputError(
@@ -77,7 +80,7 @@ class Hysteretic(Part):
             )
         if not any(getattr(self, f"{name}_per_volt") for name in self.by_voltage):
             numbers = list_names(f"{name}_per_volt" for name in self.by_voltage)
-            raise InputError(f"largest_voltage has no effect without {numbers}; give one of these, or omit largest_voltage")
+            raise InputError(f"largest_voltage has no effect without {numbers}; give one of these keys, or omit largest_voltage")
 
     @property
     def settable(self) -> tuple[Number, Number] | None:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -41,8 +41,8 @@ class OfSides(Key):
         given = {side: one for side, one in value.items() if one is not None}
         if not given or not set(given) <= set(SIDES):
             raise InputError(
-                f"{HERE} = {short_repr(dict(value))} has neither bump nor rebound; give {{ bump = ..., rebound = ... }}, one "
-                "of these two, or a number"
+                f"{HERE} = {short_repr(dict(value))} has neither bump nor rebound; give {{ bump = ..., rebound = ... }}, "
+                "a table with only one of these keys, or a number"
             )
         return StopPair(*(below(f".{side}", self.one, given[side], context) if side in given else None for side in SIDES))
 
@@ -68,8 +68,8 @@ class StopStiffness(Key):
             return SI("N/m").number(HERE, value)
         if not 1 <= len(value) <= MOST:
             raise InputError(
-                f"{HERE} = {short_repr(list(value))} has {len(value)} coefficients; give 1 to {MOST}: a stop that is "
-                "compressed by x pushes back with k_1 x + k_2 x^2 + k_3 x^3"
+                f"{HERE} = {short_repr(list(value))} has {len(value)} coefficients, but 1 to {MOST} are allowed; give "
+                "fewer: a stop that is compressed by x pushes back with k_1 x + k_2 x^2 + k_3 x^3"
             )
         units = zip(value, ("N/m", "N/m2", "N/m3"), (SMALLEST, 0.0, 0.0), strict=False)
         return tuple(SI(unit, low=low).number(f"{HERE}[{i}]", k) for i, (k, unit, low) in enumerate(units))
@@ -99,7 +99,7 @@ class StopSection(Section):
 
     def __post_init__(self) -> None:
         if self.stop is not None and self.stop_stiffness is not None:
-            raise InputError(f"has {STOP} and {STOP_KEYS[1]}, two names of the same key; omit one")
+            raise InputError(f"has both {STOP} and {STOP_KEYS[1]}, which are two names of the same key; omit one of the two")
         if self.stop is not None:
             object.__setattr__(self, STOP_KEYS[1], self.stop)
             object.__setattr__(self, STOP, None)

@@ -90,24 +90,32 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
     force = np.where(np.abs(force) <= ROUNDING * np.abs(force).max(), 0.0, force)[u >= 0]
     u = u[u >= 0]
     for i in np.flatnonzero(force < 0)[:1].tolist():
-        raise InputError(f"its table pulls with {-force[i]:.6g} N at {u[i]:g} m; give forces that push back")
+        raise InputError(
+            f"its table gives a pulling force of {-force[i]:.6g} N at {u[i]:g} m, but a stop can only push; give "
+            "forces that push back"
+        )
     if not force.any():
         if stroke is None:
             return None
-        raise InputError("its table has no force at positive compression; give the force over the compression of the stop")
+        raise InputError(
+            "every force of its table at positive compression is 0; give the force as a function of the compression of the stop"
+        )
     first = int(np.flatnonzero(force)[0]) - 1
     if first < 0 or (stroke is None and not u[first]):
         raise InputError(
-            f"its table pushes back with {force[first + 1]:.6g} N at {u[first + 1]:g} m, without a point where contact "
-            "begins; begin with 0 N at contact, or add a stop that touches at rest to the spring: suspension_stiffness = "
-            "[22e3, { ... }]"
+            f"its table pushes back with {force[first + 1]:.6g} N at {u[first + 1]:g} m, but has no point where "
+            "contact begins; begin with 0 N at contact. A stop that touches at rest belongs to the spring: "
+            "suspension_stiffness = [22e3, { ... }]"
         )
     if stroke is not None and u[first]:
-        raise InputError(f"its table has a gap of {u[first]:g} m, but suspension_stroke is {stroke:g} m; omit one of these gaps")
+        raise InputError(
+            f"its table begins with a gap of {u[first]:g} m, but suspension_stroke already gives a gap of {stroke:g} "
+            "m; omit one of the two gaps"
+        )
     if force[-1] < force[-2]:
         raise InputError(
-            f"its table ends with a falling force, {force[-1]:.6g} N, and continues at its last slope; make the last slope "
-            "zero or positive"
+            f"its table ends with a falling force, {force[-1]:.6g} N, and the force would continue to fall beyond the "
+            "table; make the last slope zero or positive"
         )
     gap, u, force = float(u[first]), u[first:] - u[first], force[first:]
     cut = StopTable(tuple(u.tolist()), tuple(force.tolist()), table.fit_error, table.note)
@@ -200,13 +208,14 @@ def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> B
                 stop = stop_of(spring, sign, length)
                 if stop is None and isinstance(stiffness, StopPair):
                     here, there = ("compression", "extension")[:: -int(sign)]
-                    own = ", or give suspension_stroke if the table is over the compression of the stop itself"
+                    own = ", or give suspension_stroke if the table is a function of the compression of the stop"
                     raise InputError(
-                        f"its table has no force in {here}, only in {there}; give forces in {here}{own if sign > 0 else ''}"
+                        f"every force of its table in {here} is 0, and only {there} has forces; give forces in "
+                        f"{here}{own if sign > 0 else ''}"
                     )
         elif isinstance(stiffness, StopPair) and isinstance(stroke, StopPair) and (length is None) != (spring is None):
             has, other = STOP_KEYS[:: 1 if spring is None else -1]
-            raise InputError(f"{side}: {has} is given, but {other} is not given for {side}; give both or neither")
+            raise InputError(f"{side}: {has} is given without {other}; give both for {side}, or neither")
         elif length is not None and spring is not None:
             first, second, third = (*(spring if isinstance(spring, tuple) else (spring,)), 0.0, 0.0)[:MOST]
             stop = Stop(length, (first, second, third))
@@ -256,7 +265,8 @@ def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[s
         if name not in known:
             has = f"sections {list_names(known)}" if known else "no sections, because there is only one suspension"
             raise InputError(
-                f"[limits.{name}] is not a suspension of this vehicle; [limits] has {has}, and the keys {list_names(STOP_NAMES)}"
+                f"[limits.{name}] is not a suspension of this vehicle; [limits] may have {has}, and the keys "
+                f"{list_names(STOP_NAMES)}"
             )
         places[name] = read(f"[limits.{name}]", StopSection, value)
     for corner in corners:

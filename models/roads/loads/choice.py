@@ -110,13 +110,17 @@ def _history(text: str, source: str) -> History:
         raise InputError(f"the file has {len(lines)} row(s) of numbers; give 2 to {MOST_ROWS} rows")
     for name, column in values.items():
         for i in np.flatnonzero(np.abs(column) > LARGEST)[:1].tolist():
-            raise InputError(f"line {lines[i]}: {name} is {column[i]:g}, but at most {LARGEST:g} (SI) is allowed; correct it")
+            raise InputError(
+                f"line {lines[i]}: {name} is {column[i]:g}, but at most {LARGEST:g} (in SI units) is allowed; correct the value"
+            )
     time = values.pop("time")
     for i in np.flatnonzero(np.diff(time) <= 0)[:1].tolist():
         raise InputError(f"line {lines[i + 1]}: time {time[i + 1]:g} s is not after the time of the previous row; sort the rows")
     acting = [name for name, column in values.items() if column[0] != 0]
     if time[0] > 0 and acting:
-        raise InputError(f"the load begins at {time[0]:g} s, but {acting[0]} is not 0 then; begin at 0 s, or with a load of 0")
+        raise InputError(
+            f"the load begins at {time[0]:g} s, but {acting[0]} is not 0 at that time; begin the file at 0 s, or with a load of 0"
+        )
     return History(source, time, values)
 
 

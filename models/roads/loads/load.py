@@ -181,8 +181,8 @@ class _Inertial(RampedLoad):
         """Returns the moment m_s a h [N m]."""
         if absent := [name for name in MOMENT_PARAMETERS if name not in p]:
             raise InputError(
-                f"load {self.kind} needs {' and '.join(map(repr, MOMENT_PARAMETERS))} for its moment, but this vehicle has no "
-                f"{absent[0]!r}"
+                f"the moment of load {self.kind} is computed from {' and '.join(map(repr, MOMENT_PARAMETERS))}, but "
+                f"this vehicle has no {absent[0]!r}; choose a different load"
             )
         return {self.way: _mass(p) * GRAVITY * self.g * p["centre_height"]}
 

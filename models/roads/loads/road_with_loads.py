@@ -60,8 +60,8 @@ class RoadWithLoads(DerivedRoad):
                 if name not in names:
                     able = " and ".join(WAYS[way] for way in names) if names else "has no body on which loads act"
                     raise InputError(
-                        f"load {load.label!r} needs a vehicle that {WAYS[name]}, but a {vehicle.kind.name} only {able}; "
-                        "choose another load or vehicle"
+                        f"load {load.label!r} needs a vehicle that {WAYS[name]}, but a {vehicle.kind.name} only "
+                        f"{able}; choose a different load or vehicle"
                     )
             for name, values in values_of(load).items():
                 total[:, names.index(name)] += values

@@ -264,13 +264,17 @@ def check(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float,
     check_fits(vehicle, *controllers)
     sample_times(vehicle, 1.0, timestep)
     if timestep > 0.25 / HIGHEST:
-        raise InputError(f"timestep = {timestep:g} s is too coarse for {HIGHEST:g} Hz; give at most {0.25 / HIGHEST:g} s")
+        raise InputError(
+            f"timestep = {timestep:g} s is too large for frequencies up to {HIGHEST:g} Hz; give a timestep of at most "
+            f"{0.25 / HIGHEST:g} s"
+        )
     if not 1e-6 <= amplitude <= 1:
         raise InputError(f"amplitude = {amplitude:g} m is not allowed; give a number from 1e-06 to 1 m")
     for controller in controllers:
         growth = radius(loop_of(vehicle, controller, timestep))
         if growth >= 1:
             raise InputError(
-                f"the loop with controller {controller.name!r} has no frequency response, because its motion does not decay (a "
-                f"timestep multiplies it by {growth:.6g}); give another controller, or a smaller timestep"
+                f"the loop with controller {controller.name!r} has no frequency response, because its motion does not "
+                f"decay (each timestep multiplies this motion by {growth:.6g}); give a different controller, or a "
+                "smaller timestep"
             )

@@ -82,7 +82,10 @@ def _robust_performance(designer: Designer, one: PrintedNumber) -> float:
     """Returns the proved bound on the structured singular value mu for robust performance."""
     bounds = [promise.proved for promise in designer.design(one.controller).robustness if promise.what == ROBUST_PERFORMANCE]
     if not bounds or bounds[0] is None:
-        raise InputError(f"controller {one.controller!r} has no weighted errors; give a weight in its tolerance")
+        raise InputError(
+            f"controller {one.controller!r} has no weighted errors, which this number needs; give a weight in the "
+            "tolerance of this controller"
+        )
     return bounds[0]
 
 
@@ -98,7 +101,10 @@ def _zero(designer: Designer, one: PrintedNumber) -> float:
     above, off = np.imag(zeros), np.abs(np.real(zeros))
     on_axis = above[(off <= REAL * np.abs(zeros)) & (above > REAL * np.abs(zeros).max())]
     if not len(on_axis):
-        raise InputError(f"{one.signal} has no zero on the imaginary axis from {model.inputs[0]}; give another signal")
+        raise InputError(
+            f"{one.signal} has no zero on the imaginary axis in its transfer function from {model.inputs[0]}; give a "
+            "different signal"
+        )
     return float(on_axis.min())
 
 
@@ -146,7 +152,10 @@ def _recovery(designer: Designer, one: PrintedNumber) -> float:
     begins = getattr(one.road, "start", 0.0)
     last = pieces_of(designer, one).counted_from(begins).last_above(one.half_band)
     if last is None or math.isinf(last):
-        raise InputError(f"{one.text}: the signal never leaves the band, or never settles; list this number under `missing`")
+        raise InputError(
+            f"{one.text}: the signal never leaves the band, or never settles, so this number does not exist; list the "
+            "number under `missing`"
+        )
     return last
 
 
@@ -161,7 +170,10 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
         metrics = _steps(run_of_number(designer, one), one.band)[one.signal].continuous
         value = None if metrics is None else getattr(metrics, key)
         if value is None:
-            raise InputError(f"{one.text}: the signal is {metrics and metrics.settled}; list this number under `missing`")
+            raise InputError(
+                f"{one.text}: the signal is {metrics and metrics.settled}, so this number does not exist; list the number "
+                "under `missing`"
+            )
         return value
 
     return found
@@ -215,7 +227,8 @@ def _on_grid(designer: Designer, one: PrintedNumber) -> float:
     least = one.timestep / 10
     if one.what not in OF_A_GRID or not least <= one.grid <= one.duration:
         raise InputError(
-            f"grid = {one.grid:g} s of {one.what} is not allowed; give a number from {least:g} s to the duration, or omit grid"
+            f"grid = {one.grid:g} s of {one.what} is not allowed; give a number from {least:g} s to the duration of "
+            "the run, or omit grid"
         )
     times = np.arange(round(one.duration / one.grid, 6) // 1 + 1) * one.grid
     values = pieces_of(designer, one).at(times)

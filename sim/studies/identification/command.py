@@ -78,13 +78,13 @@ examples:
         options = request.options
         check_outputs({"vehicle": options.out}, [*options.files, *options.hold_out], options.json)
         if not options.files and not options.plan:
-            raise InputError("no log is given; give a log file, or --plan to plan a test")
+            raise InputError("no log is given; give the file of a log, or --plan to plan a test")
         if options.columns and options.plan:
-            raise InputError("--columns and --plan print different results; give one of them")
+            raise InputError("--columns and --plan print different results; give only one of the two")
         if (options.columns or options.plan) and options.picture is not None:
             raise InputError(f"{'--columns' if options.columns else '--plan'} draws no picture; omit --picture")
         if options.plan and options.out is not None:
-            raise InputError("--plan writes no vehicle file; omit --out")
+            raise InputError("--plan writes no vehicle file, so --out has no effect; omit --out")
 
     def run(self, request: StudyRequest, progress: Progress) -> "Result":
         from models.common.files import whole_file

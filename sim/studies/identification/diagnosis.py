@@ -93,8 +93,8 @@ def check_columns(problem: IdentificationProblem) -> list[str]:
             named = next((words for factor, words in FACTORS.items() if abs(ratio / factor - 1) < NEAR), "")
             if own > ALIKE and named:
                 raise InputError(
-                    f"{one.name}: {channel.signal} is {ratio:.4g} times the prediction of this vehicle; the column seems to "
-                    f"be {named}: write its unit in the map"
+                    f"{one.name}: {channel.signal} is {ratio:.4g} times as large as this vehicle's prediction, so the "
+                    f"column seems to be {named}; write the unit of the column in the map"
                 )
             if own < -ALIKE:
                 raise InputError(

@@ -94,7 +94,7 @@ class Experiment:
             raise InputError(f"{self.name}: a road height or a force is missing (NaN); split the log at this gap")
         for one in self.channels:
             if not one.counted.any():
-                raise InputError(f"{self.name}: {one.signal} has no value, only NaN; omit this channel")
+                raise InputError(f"{self.name}: {one.signal} contains only NaN, no number; omit this channel")
 
     @property
     def time(self) -> Array:

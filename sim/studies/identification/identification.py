@@ -143,14 +143,17 @@ def free_parameters(
             raise InputError(f"{short_repr(name)} is not a parameter; give one of {alike(name, given)}")
     for name in fix:
         if name in free:
-            raise InputError(f"{name} is both fixed and free; give it once")
+            raise InputError(f"{name} is given both as fixed and as free; give it only once")
     first = {name: value for name, value in vehicle.parameters.items() if "" in parts and units.get(name) in SCALED and value > 0}
     own = {name: value for name, value in numbers.items() if name.split(".")[0] in parts and value > 0}
     first |= {name: value for name, value in own.items() if "volt" not in name and not name.endswith(".bandwidth")}
     first |= {name: given[name] for name in free}
     for name in free:
         if first[name] < 0:
-            raise InputError(f"{name} = {first[name]:g} cannot be estimated, because only numbers above 0 can be estimated")
+            raise InputError(
+                f"{name} = {first[name]:g} cannot be estimated, because only parameters above 0 can be estimated; fix "
+                "this parameter"
+            )
         if first[name] == 0:
             first[name] = _small(vehicle, name, units)
     return {name: value for name, value in first.items() if name not in fix}
@@ -168,7 +171,9 @@ def _small(vehicle: Vehicle, name: str, units: Mapping[str, str]) -> float:
     kind = vehicle.kind
     stiffness, mass = (p.get(kind.of_corner(one, ending), 0.0) for one in ("tyre_stiffness", "unsprung_mass"))
     if units.get(name) != "N s/m" or not stiffness or not mass:
-        raise InputError(f"{name} is 0 in the file, but an estimate starts above 0; give a value above 0 in the file")
+        raise InputError(
+            f"{name} is 0 in the vehicle file, but an estimate must start above 0; give {name} a value above 0 in the file"
+        )
     return 2 * SMALL_START * float(np.sqrt(stiffness * mass))
 
 
@@ -293,7 +298,10 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
                     )
                 )  # fmt: skip
     if not experiments:
-        raise InputError("a wheel is in the air nearly all the time; drive more slowly, or over a lower road")
+        raise InputError(
+            "a wheel is in the air nearly all the time, so the log contains little about the vehicle; drive more "
+            "slowly, or over a lower road"
+        )
     return replace(problem, experiments=tuple(experiments)), remarks
 
 

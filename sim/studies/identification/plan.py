@@ -85,7 +85,9 @@ def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequ
     silent = [name for name, one in log_map.sensors.items() if one.noise is None and not name.startswith("road")]
     sensors = {name: one.noise for name, one in log_map.sensors.items() if one.noise is not None}
     if silent or not sensors:
-        raise InputError(f"a plan needs the noise of each sensor; give noise below [signals.{list_names(silent) or 'NAME'}]")
+        raise InputError(
+            f"a plan of a test needs the noise of each sensor; give noise below [signals.{list_names(silent) or 'NAME'}]"
+        )
     named = replace(vehicle, kind=vehicle.kind.naming({*vehicle.kind.possible}))
     first, wheels = free_parameters(named, fix, free), len(named.kind.wheels)
     each = list[ChirpPlan]()

@@ -235,7 +235,10 @@ class LogPrediction:
 
         one, vehicle = self.experiment, self.vehicle(values)
         if one.hubs:
-            raise InputError("an unknown road needs linear springs and dampers; give the road, or a vehicle with linear ones")
+            raise InputError(
+                "an estimate with an unknown road needs linear springs and dampers; give the road, or a vehicle with "
+                "linear springs and dampers"
+            )
         posts = tuple(wheel.road_displacement for wheel in vehicle.kind.wheels)
         if start is not None:
             vehicle = replace(vehicle, start=dict(zip(vehicle.linear_model.states, start.tolist(), strict=True)))
@@ -290,7 +293,9 @@ def continuous_model(vehicle: Vehicle, experiment: Experiment) -> tuple[Array, A
     if not experiment.hubs:
         return model.A, Bv, Bd, C, Dv, Dd
     if vehicle.inertial:
-        raise InputError("an unknown road cannot be combined with an inerter; give the heights of the road")
+        raise InputError(
+            "an estimate with an unknown road is not possible for a vehicle with an inerter; give the heights of the road"
+        )
     hubs = [i for i, name in enumerate(model.states) if name.startswith(HUB)]
     kept = [i for i, name in enumerate(model.states) if not name.startswith(TYRE)]
     A, B = model.A.copy(), np.hstack([np.zeros((len(model.A), r)), model.B])

@@ -88,8 +88,8 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     within = (log.time >= keys.first) & (log.time <= keys.last)
     if within.sum() < LEAST:
         raise InputError(
-            f"only {int(within.sum())} samples are between first and last, but at least {LEAST} are needed; change first "
-            "and last in the map"
+            f"only {int(within.sum())} samples are between the times first and last of the map, but at least {LEAST} "
+            "are needed; change first or last"
         )
     within[np.flatnonzero(within)[np.arange(within.sum()) % keys.every > 0]] = False
     time = log.time[within]
@@ -125,7 +125,7 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
         raise InputError(f"the log has no measured signal; give a column of one of {list_names(readable[:6])}")
     unknown = [name for name in values if name not in readable]
     if unknown:
-        raise InputError(f"the vehicle does not predict {list_names(unknown)}; omit this column")
+        raise InputError(f"the vehicle model does not predict {list_names(unknown)}; omit the column of this signal")
     for name in list(values):
         values[name], more = _counted(name, values[name], signal_units(kind)[name])
         remarks += more
@@ -137,7 +137,10 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     whole, least = np.isfinite(inputs).all(axis=1), LEAST
     if random is not None:
         if np.nan_to_num(forces).any():
-            raise InputError("control forces act, but a random road needs a passive vehicle; omit the columns of the forces")
+            raise InputError(
+                "control forces act in this log, but an estimate with a random road needs a passive vehicle; omit the "
+                "columns of the forces"
+            )
         filled, more = _filled(np.stack([*values.values()], axis=-1), [*values])
         values, remarks = dict(zip(values, filled.T, strict=True)), remarks + more
         whole, least = np.isfinite(filled).all(axis=1), max(LEAST, round(SHORTEST / step))
@@ -171,7 +174,10 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
         )
     if not experiments:
         what = "the road or the forces" if random is None else "a signal"
-        raise InputError(f"the log contains no {least} successive samples without a gap in {what}")
+        raise InputError(
+            f"the log contains no {least} successive samples without a gap in {what}; give a log with longer sections "
+            "without gaps"
+        )
     if len(experiments) > 1:
         names = (f"{one.name}, {rough(one.start)} s" for one in experiments)
         experiments = [replace(one, name=name) for one, name in zip(experiments, names, strict=True)]
@@ -226,7 +232,8 @@ def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: 
         if missing:
             what = "the input is the acceleration of the hubs, but" if keys.road == UNKNOWN else 'road = "logged", but'
             raise InputError(
-                f"{what} no column is {list_names(missing)}; add it to the map, or give another road: flat, unknown, or a file"
+                f"{what} no column is {list_names(missing)}; add the column to the map, or give a different road: "
+                "flat, unknown, or a file"
             )
         return np.stack([driving[name] for name in names], axis=-1), False
     from models.roads.choice import choose_road
@@ -245,7 +252,10 @@ def _random_road(keys: LogKeys, vehicle: Vehicle) -> Iso8608 | None:
     if not keys.speed:
         raise InputError(f'road = {short_repr(keys.road)} needs the speed of the vehicle; add a line such as speed = "20 m/s"')
     if vehicle.parts.nonlinear:
-        raise InputError("a random road needs linear springs and dampers; give road heights, or a vehicle with linear ones")
+        raise InputError(
+            "an estimate with a random road needs linear springs and dampers; give the heights of the road, or a vehicle "
+            "with linear springs and dampers"
+        )
     built = road.build(vehicle, keys.speed, 0, 0.0)
     assert isinstance(built, Iso8608)
     return built
@@ -261,8 +271,8 @@ def _counted(name: str, values: Array, unit: str) -> tuple[Array, list[str]]:
     finite = values[counted]
     if unit == "m" and len(finite) and np.abs(finite - np.median(finite)).max() > DEEP:
         raise InputError(
-            f"{name} moves by {np.abs(finite - np.median(finite)).max():.4g} m; if the column is in mm, write its unit in the "
-            'map, as in column = "HEADING [mm]"'
+            f"{name} moves by {np.abs(finite - np.median(finite)).max():.4g} m, which is too large; if the column is "
+            'in mm, write its unit in the map, as in column = "HEADING [mm]"'
         )
     if len(finite) < 2 or np.ptp(finite) == 0:
         return np.full_like(values, np.nan), [f"{name} is constant, and is ignored"]
@@ -341,9 +351,9 @@ def _slow(road: Array, step: float, late: float) -> list[str]:
     usual = float(np.searchsorted(np.cumsum(power.sum(axis=1)), power.sum() / 2)) / (step * len(velocity))
     if 2 * np.pi * usual * late > MOST_PHASE:
         raise InputError(
-            f"times are off by up to {rough(1e3 * late)} ms, a phase of {rough(2 * np.pi * usual * late)} rad at the road's "
-            f"usual {rough(usual)} Hz (sampled at {rough(1 / step)} Hz), so the road's phase is unknown; export times with "
-            "more digits, or sample faster"
+            f"the times are wrong by up to {rough(1e3 * late)} ms, a phase of {rough(2 * np.pi * usual * late)} rad "
+            f"at the road's usual {rough(usual)} Hz (sampled at {rough(1 / step)} Hz). The road's phase is therefore "
+            "unknown; export times with more digits, or sample faster"
         )
     slow = power[: max(1, math.ceil(len(power) / 2))].sum() / max(power.sum(), 1e-300)
     if slow >= COARSE:

@@ -65,7 +65,9 @@ examples:
 
         read_within(request.options.within or "")
         if request.options.road is not None and request.options.road_class is not None:
-            raise InputError("--class and --road exclude each other; omit one (--class C means --road iso8608:class=C)")
+            raise InputError(
+                "--class and --road cannot be combined, because --class C means --road iso8608:class=C; omit one of the two"
+            )
 
     def run(self, request: StudyRequest, progress: Progress) -> "Recommendation":
         from models.document.outputs import check_outputs

@@ -230,7 +230,10 @@ def save(path: Path, result: Recommendation) -> str:
     """
     row, vehicle, taken = result.saved, result.task.vehicle, result.task.vehicle.controllers
     if row is None:
-        raise InputError("--save has nothing to write: no controller is better than the passive vehicle within the limits")
+        raise InputError(
+            "--save has nothing to write, because no controller that satisfies the limits is better than the passive "
+            "vehicle; give wider limits, or omit --save"
+        )
     name = next(one for i in range(1, len(taken) + 2) if (one := SECTION if i == 1 else f"{SECTION}_{i}") not in taken)
     one, usage = row.candidate.controller, row.rating.usage
     used = f", force {SHARE.text(usage.force)} of its limit, disk margin {usage.disk:g}" * row.candidate.pushes

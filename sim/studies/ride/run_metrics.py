@@ -254,7 +254,7 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     """
     vehicle, road, time, timestep = run.vehicle, run.road, run.prediction.time, run.prediction.timestep
     if first >= len(time[:end]) - 1:
-        raise InputError(f"first = {first} leaves fewer than two of the run's {len(time[:end])} samples; give a smaller number")
+        raise InputError(f"first = {first} leaves fewer than two of the run's {len(time[:end])} samples; give a smaller first")
     expected: ExpectedMetrics | None = None
     transient: RemainingTransient | None = None
     controller = run.controller

@@ -111,7 +111,9 @@ def check_band(road: Road, percent: float, given: bool) -> None:
     if not low <= percent <= high:
         raise InputError(f"--band {percent:g} % is not allowed; give {low:g} to {high:g} %")
     if given and step_of(road) is None:
-        raise InputError("--band applies only to the response to a step; give --road step without loads, or omit --band")
+        raise InputError(
+            "--band applies only to the response to a step of the road; give --road step without loads, or omit --band"
+        )
 
 
 def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float) -> StepMetrics:

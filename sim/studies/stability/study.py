@@ -104,15 +104,17 @@ def check_loop(vehicle: Vehicle, built: Vehicle, controller: Controller, timeste
     """
     name, certificate = f"controller {controller.name!r}", controller.certificate
     if not controller.law.acts:
-        raise InputError(f"{name} requests no force, so there is no loop and no margin; choose another controller")
+        raise InputError(
+            f"{name} requests no force, so it closes no loop and has no stability margin; choose a different controller"
+        )
     if not certificate.stable:
         why = f"its ideal loop is not stable ({certificate.stability.words})"
-        raise InputError(f"{name} has no margin, because {why}; choose a stable controller{sign_note(controller)}")
+        raise InputError(f"{name} has no stability margin, because {why}; choose a stable controller{sign_note(controller)}")
     times = loop_of(vehicle, controller).direct_radius
     if times >= 1:
         raise InputError(
-            f"{name} tolerates neither delay nor sampling: its measurements contain {times:.4g} times its own force, "
-            "which grows from sample to sample; lower the gain on accelerations, or filter the accelerations"
+            f"{name} tolerates neither delay nor sampling, because its measurements contain {times:.4g} times its own "
+            "force, which grows from sample to sample; lower the gain on accelerations, or filter them"
         )
     growth = radius(loop_of(vehicle, controller, timestep, taylor4))
     if growth >= 1:
@@ -122,4 +124,4 @@ def check_loop(vehicle: Vehicle, built: Vehicle, controller: Controller, timeste
         )
     if radius(loop_of(built, controller, timestep, taylor4)) >= 1:
         why = f"its implemented loop is not stable ({', '.join(built.implementation.without_noise.phrases)})"
-        raise InputError(f"{name} has no margin, because {why}; give a shorter sample_period or delay")
+        raise InputError(f"{name} has no stability margin, because {why}; give a shorter sample_period or delay")

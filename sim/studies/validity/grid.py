@@ -39,7 +39,7 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
     """
     example = "as in --vary height:0.02:0.3:20 --vary speed:3:30:20"
     if len(texts) not in (1, 2):
-        raise InputError(f"--vary is given {len(texts)} times; give it once or twice, for {list_names(UNITS)}, {example}")
+        raise InputError(f"--vary is given {len(texts)} times; give --vary once or twice, for {list_names(UNITS)}, {example}")
     axes = []
     for text in texts:
         name, *parts = text.split(":")
@@ -55,11 +55,19 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
             raise InputError(f"--vary {text} does not have the form NAME:LOW:HIGH:COUNT, {example}")
         smallest, largest = LOWEST if name == "height" else NUMBERS[name].low, NUMBERS[name].high
         if not smallest <= low < high <= largest:
-            raise InputError(f"--vary {text}: give low < high, from {smallest:g} to {largest:g} {UNITS[name]}")
+            raise InputError(
+                f"--vary {text}: the range is not allowed; give LOW below HIGH, both from {smallest:g} to {largest:g} "
+                f"{UNITS[name]}"
+            )
         if count < 2:
-            raise InputError(f"--vary {text}: {count} points are too few; give 2 or more, or one value with --{name}")
+            raise InputError(
+                f"--vary {text}: {count} points are too few for a map; give 2 or more points, or a single value with --{name}"
+            )
         if count > MOST_CELLS // 2:  # half the largest number of cells of a map, because the other axis has at least 2 points
-            raise InputError(f"--vary {text}: {count} points are too many; a map has at most {MOST_CELLS} cells")
+            raise InputError(
+                f"--vary {text}: {count} points are too many, because a map may have at most {MOST_CELLS} cells; give "
+                "fewer points"
+            )
         axes.append(GridAxis(name, tuple(np.linspace(low, high, count).tolist())))
     if axes[0].name == axes[-1].name and len(axes) > 1:
         raise InputError(f"--vary {axes[0].name} is given twice; vary two different quantities of {list_names(UNITS)}")

@@ -72,14 +72,19 @@ def requested_log(options: Namespace, vehicles: Iterable[Vehicle]) -> MeasuredLo
         for name in [*["beside_column"] * bool(options.beside_column), *sorted(options.given)]:
             if name.startswith("beside"):
                 option = f"--{name}".replace("_", "-")
-                raise InputError(f"{option} describes a measured log; give its file with --beside, or omit the option")
+                raise InputError(
+                    f"{option} has an effect only with a measured log; give the file of the log with --beside, or omit {option}"
+                )
         return None
 
     columns = dict[str, str]()
     for text in options.beside_column:
         name, _, heading = text.partition("=")
         if not (name and heading) or name in columns:
-            raise InputError(f"--beside-column {text}: give each signal once, with its heading, as in SIGNAL=HEADING")
+            raise InputError(
+                f"--beside-column {text}: a signal is given twice, or without its heading; give each signal once, as in "
+                "SIGNAL=HEADING"
+            )
         columns[name] = heading
     units = {signal.name: signal.unit for vehicle in vehicles for signal in vehicle.kind.signals}
     return read_measured_log(options.beside, units, options.beside_rate, columns)
@@ -198,7 +203,10 @@ def compare_log(
     """
     several = [until_end(run) for run in runs]
     if min(len(one.time) for one in several) < LEAST:
-        raise InputError(f"measured log {log.source}: a run ended at its start and cannot be compared; omit its controller")
+        raise InputError(
+            f"measured log {log.source}: one run stopped at its first time step, so it cannot be compared with the "
+            "log; omit the controller of that run"
+        )
     given = start is not None
     starts = [(start, ())] * len(runs) if start is not None else [_best_start(log, one) for one in several]
     scores = [_score(log, one, at) for one, (at, _) in zip(several, starts, strict=True)]
@@ -210,8 +218,8 @@ def compare_log(
     if not finite.any(axis=0).all():
         first, last = (float(log.time[i] - at) for i in (0, -1))
         raise InputError(
-            f"measured log {log.source}: a signal has no value during the run; the log covers {first:.4g} to {last:.4g} s of the "
-            f"run, which takes {run.time[-1]:.4g} s; give another start"
+            f"measured log {log.source}: a signal of the log has no value during the run. The log covers {first:.4g} "
+            f"to {last:.4g} s of the run, which takes {run.time[-1]:.4g} s; give a different start of the log"
         )
     offsets = {name: one.offset for name, one in fits(response, run).items()} if remove_offsets else {}
     moved = replace(response, values=response.values - [offsets.get(name, 0.0) for name in response.names])

@@ -52,7 +52,8 @@ class EnvelopeStudy(EnvelopeCommand):
         shortest.check(request.vehicle, time)
         if longest.duration > time[-1]:
             raise InputError(
-                f"the longest bump takes {longest.duration:.3g} s, but a run lasts only {time[-1]:g} s; give a longer --duration"
+                f"the longest bump takes {longest.duration:.3g} s, but each run lasts only {time[-1]:g} s; give a "
+                "longer --duration"
             )
         with_loads(bumps[0], loads).check(request.vehicle, time)
 

@@ -164,31 +164,42 @@ def exported_law(
             f"controller {driver.name!r} is {driver.kind}, which is already code; export a linear or semi-active law"
         )
     if not driver.measured:
-        raise InputError(f"controller {driver.name!r} measures nothing and gives no force; export another one")
+        raise InputError(
+            f"controller {driver.name!r} measures nothing and gives no force, so there is nothing to export; export a "
+            "different controller"
+        )
     if not all(damper.replaces for damper in vehicle.dampers.values()):
         raise InputError(
-            "dampers of [parts] with largest_voltage cannot be exported: no sensor measures their states; "
+            "dampers of [parts] with largest_voltage cannot be exported, because no sensor measures their states; "
             "omit largest_voltage, or give [actuators] with c_min and c_max"
         )
     if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.parts.adjustable):
-        raise InputError("semi-active dampers with characteristics cannot be exported; give only c_min and c_max")
+        raise InputError("semi-active dampers with curves c_min and c_max cannot be exported; give c_min and c_max as numbers")
     if driver.linear and any(one.ratio != 1 for one in vehicle.parts.adjustable):
-        raise InputError("a linear law on semi-active dampers with a motion ratio cannot be exported; export a semi-active law")
+        raise InputError(
+            "a linear law for semi-active dampers with a motion ratio cannot be exported; export a semi-active law instead"
+        )
     if vehicle.dampers and len(vehicle.parts.adjustable) != len(model.inputs):
-        raise InputError("semi-active dampers and force actuators cannot be exported together; give each the same kind")
+        raise InputError(
+            "semi-active dampers and force actuators cannot be exported together; give all suspensions the same kind of actuator"
+        )
     if how.delay != int(how.delay):
         raise InputError(
-            f"delay = {how.delay:g} samples is not an integer, but code sets forces only at samples; give {int(how.delay)}"
+            f"delay = {how.delay:g} samples is not an integer, but exported code can change forces only at samples; "
+            f"give delay = {int(how.delay)}"
         )
     q, m, k = len(driver.measured), len(model.inputs), driver.states
     if k and how.sample_period is None:
         raise InputError(
-            f"controller {driver.name!r} has {k} state{'s' * (k > 1)}, so its code needs a sample period; give [implementation] "
-            "sample_period, or export a static gain"
+            f"controller {driver.name!r} has {k} state{'s' * (k > 1)}, so its code needs a sample period; give "
+            "sample_period in [implementation], or export a static gain"
         )
     rate = vehicle.limits.force_rate
     if rate is not None and how.sample_period is None:
-        raise InputError("force_rate limits changes from sample to sample; give [implementation] sample_period")
+        raise InputError(
+            "force_rate limits the change of a force from sample to sample, so the code needs a sample period; give "
+            "sample_period in [implementation]"
+        )
     velocities = [one.velocity for one in vehicle.kind.suspensions] if vehicle.dampers and driver.linear else []
     read = [*map(vehicle.kind.signal, driver.measured), *velocities]
     outputs = tuple(one.coefficient for one in vehicle.parts.adjustable) if vehicle.dampers else model.inputs
@@ -249,15 +260,19 @@ def _ranges(
         InputError: a measurement has no range, a range belongs to no measurement, or the controller acts on dampers.
     """
     if vehicle.dampers:
-        raise InputError("integer code needs force actuators, but this vehicle has semi-active dampers; give double or float")
+        raise InputError(
+            "integer code needs force actuators, but this vehicle has semi-active dampers; use double or float numbers"
+        )
     unknown = [name for name in given if name not in driver.measured]
     if unknown:
-        raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures only {list_names(driver.measured)}; omit it")
+        raise InputError(
+            f"--range {unknown[0]}: controller {driver.name!r} measures only {list_names(driver.measured)}; omit this --range"
+        )
     known = proved_ranges(driver) | {name: (most, sources.get(name, GIVEN_RANGE)) for name, most in given.items()}
     lacking = [name for name in driver.measured if name not in known]
     if lacking:
         name = lacking[0]
-        raise InputError(f"integer code needs the largest magnitude of {name}; give it with --range {name}=NUMBER")
+        raise InputError(f"integer code needs the largest magnitude of {name}; give this magnitude with --range {name}=NUMBER")
     return np.array([known[name][0] for name in driver.measured]), tuple(known[name][1] for name in driver.measured)
 
 

@@ -45,7 +45,9 @@ def compiler() -> list[str]:
         return [own]
     if importlib.util.find_spec("ziglang") is not None:
         return [sys.executable, "-m", "ziglang", "cc"]
-    raise InputError("there is no C compiler; install cc, or Zig's with pip install 'roadproof[export]'")
+    raise InputError(
+        "there is no C compiler on this machine; install cc, or install the compiler of Zig with pip install 'roadproof[export]'"
+    )
 
 
 @dataclass(frozen=True, eq=False)

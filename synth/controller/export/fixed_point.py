@@ -102,8 +102,8 @@ def fixed_point(
     """
     if change is not None and L is not None and limit is None:
         raise InputError(
-            f"{numbers} code with anti_windup and force_rate needs a largest force, which bounds the controller states; give "
-            "actuator_force"
+            f"{numbers} code with anti_windup and force_rate needs a largest force, so that the states of the "
+            "controller are bounded; give actuator_force"
         )
     A, B, C, D, largest = law.A, law.B, law.C, law.D, 2 ** (BITS[numbers] - 1) - 1
     m, k = len(D), len(A)
@@ -111,7 +111,7 @@ def fixed_point(
     if L is not None:  # law whose input is the acting force, so that the law is the same whether the force is clipped or not
         A_own, pushed = A - L @ C, np.hstack([(B - L @ D) * ranges, L * (limit or 0.0)])
     if k and np.abs(np.linalg.eigvals(A_own)).max() >= 1 - 1e-12:
-        raise InputError(f"{numbers} needs bounded states, but a state of this law does not decay; give double or float")
+        raise InputError(f"{numbers} code needs bounded states, but a state of this law does not decay; give double or float")
     peaks = summed_responses(np.eye(k), A_own, pushed) if k else np.zeros(0)
     forces = np.abs(D) @ ranges + np.abs(C) @ peaks
     if limit is not None and L is None:
@@ -124,15 +124,15 @@ def fixed_point(
     size = np.abs(whole).max(axis=1) if numbers == "int16" else np.abs(whole).sum(axis=1)
     room = np.floor(np.log2(largest / np.where(size > 0, size, 1.0) * (1 - 1e-9)))
     if np.any(room < 0):
-        raise InputError(f"{numbers} has too few digits for these ranges and this law; give int32, float or double")
+        raise InputError(f"{numbers} numbers have too few digits for these ranges and this law; give int32, float or double")
     shifts = np.minimum(room, MOST_SHIFT).astype(int)
     rows = np.rint(whole * 2.0 ** shifts[:, None])
     top = None if limit is None else np.minimum(np.floor(limit / given), largest)
     step = None if change is None else np.minimum(np.floor(change / given), largest)
     if step is not None and np.any(step < LEAST_CHANGE):
         raise InputError(
-            f"{numbers} code has forces in steps of {given.max():g} N, too coarse for changes of {change:g} N per sample "
-            "(force_rate); give int32, float or double"
+            f"{numbers} code rounds forces to steps of {given.max():g} N, which are too coarse for changes of "
+            f"{change:g} N per sample (force_rate); give int32, float or double"
         )
     return FixedPoint(largest, seen, given, kept, rows, shifts, top, step)
 

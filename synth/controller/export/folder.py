@@ -247,13 +247,20 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyContro
     fits = [i for i, one in enumerate(drivers) if one.name in (law.controller, law.controller.removesuffix(SUFFIX))]
     if not fits:
         names = ", ".join(one.name for one in drivers)
-        raise InputError(f"--as {folder} is code of {law.controller!r}, but --controller gives {names}; give that controller")
+        raise InputError(
+            f"--as {folder} contains code of {law.controller!r}, but --controller gives {names}; give --controller "
+            f"{law.controller}"
+        )
     driver, theirs, ours = drivers[fits[0]], _facts(found.vehicle), _facts(vehicle)
     other = [f"{name} = {value} instead of {ours.get(name)}" for name, value in theirs.items() if value != ours.get(name)]
     if other:
-        raise InputError(f"--as {folder} was exported for a vehicle with {other[0]}; export {driver.name!r} of this vehicle")
+        raise InputError(
+            f"--as {folder} contains code for a vehicle with {other[0]}; export controller {driver.name!r} of this vehicle"
+        )
     if not is_law_of(law, vehicle, driver):
-        raise InputError(f"--as {folder}: the law of controller {driver.name!r} has changed since the export; export it again")
+        raise InputError(
+            f"--as {folder}: the law of controller {driver.name!r} has changed since the export; export the controller again"
+        )
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
     code.start()  # this call raises an error before the simulations start if the code cannot be built

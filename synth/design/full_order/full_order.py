@@ -215,7 +215,7 @@ def full_order_design(
         raise InfeasibleError(reasons)
     if plant.dt is not None and (fastest_pole is not None or fastest < np.inf):
         raise InputError(
-            "the sample period of a discrete plant already limits the speed of its loop; omit fastest_pole and fastest"
+            "the sample period of a discrete plant already limits the speed of the closed loop; omit fastest_pole and fastest"
         )
     below = find_lower_bound(plant) if lower_bound is None else lower_bound
     image = continuous_image(plant)

@@ -107,7 +107,7 @@ def lqg_design(
     q = len(plant.Cy)
     sizes = real_matrix([list(noise)], "noise", f"(1, {q})")[0]
     if sizes.shape != (q,) or np.any(sizes < 0):
-        raise InputError(f"noise has shape {sizes.shape}; expected {q} numbers from 0 upwards, one for each measurement")
+        raise InputError(f"noise has shape {sizes.shape}; give {q} numbers of at least 0, one for each measurement")
     return _design(plant, states, False, np.diag(sizes))
 
 

@@ -110,7 +110,7 @@ def multi_objective_design(
         any(plant_problem.dt is not None for member in problem.members for plant_problem in member.plants)
         and problem.decay is not None
     ):
-        raise InputError("decay [rad/s] is for continuous plants only; omit it and bound a norm instead")
+        raise InputError("decay [rad/s] applies only to continuous plants; omit decay, and bound a norm instead")
     for i, start in enumerate(starts := list(starts)):
         check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "the shape of the structure")
     search = MinimaxSearch(problem, on_progress)

@@ -76,21 +76,27 @@ def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Pla
         if any(getattr(plant, name).shape != getattr(first, name).shape for name in MATRICES) or plant.dt != first.dt:
             has, expected = ([f"{name} {getattr(one, name).shape}" for name in MATRICES] for one in (plant, first))
             raise InputError(
-                f"{where} family[{i}] has the shapes {list_names(has)}, and dt = {plant.dt}; expected those of the plant: "
-                f"{list_names(expected)}, and dt = {first.dt}"
+                f"{where} family[{i}] has the shapes {list_names(has)}, and dt = {plant.dt}; give the shapes and the "
+                f"dt of the plant: {list_names(expected)}, and dt = {first.dt}"
             )
     measured, forces, outputs = (
         _names(letter, count) for letter, count in zip("yuz", (len(first.Cy), *first.D.T.shape), strict=True)
     )
     if section.get("structure") == CORNER:
-        raise InputError(f'{where} structure = "{CORNER}" is for vehicles only; give rows of 0 and 1, a row for each force')
+        raise InputError(
+            f'{where} structure = "{CORNER}" is allowed only for vehicles; give rows of 0 and 1, one row for each force'
+        )
     family = {"family": [{}] * len(plants)} if len(plants) > 1 else {}
     names = {"signals": dict.fromkeys(outputs, "1"), "corners": dict.fromkeys(forces, ""), "parameters": {}}
     goals = read(where, Goals, {**section, **family}, measured=measured, **names)
     if goals.tolerance != goals.goals.tolerance:
-        raise InputError(f"{where} a tolerance with a weight is for vehicles only; give a largest relative error (0.1 is 10 %)")
+        raise InputError(
+            f"{where} a tolerance with a weight is allowed only for vehicles; give a largest relative error (0.1 is 10 %)"
+        )
     if any(isinstance(bound, PeakBound) for bound in goals.bounds):
-        raise InputError(f"{where} bounds: a peak over a road is for vehicles only; bound an energy_peak or a norm")
+        raise InputError(
+            f"{where} bounds: a bound on a peak over a road is allowed only for vehicles; bound an energy_peak or a norm instead"
+        )
     norms = norms_of(goals)
     energies = [bound for bound in goals.bounds if isinstance(bound, EnergyBound)]
     members = [
@@ -119,8 +125,8 @@ def _signal(where: str, plant: Plant, row: int, bound: EnergyBound) -> BoundedSi
     """Returns a row of z as a signal whose magnitude is bounded for disturbances of a given energy."""
     if np.any(plant.Dw[row]) or np.any(plant.Dyw) or plant.dt is not None:
         raise InputError(
-            f"{where} bounds: energy_peak of {bound.energy_peak} is infinite, because w, noise or sampling acts directly on "
-            "this signal; bound its norm instead"
+            f"{where} bounds: energy_peak of {bound.energy_peak} is infinite, because w, noise or sampling acts "
+            "directly on this signal; bound the norm of the signal instead"
         )
     name = f"{bound.energy_peak} for w of energy {bound.energy:g} <= {bound.at_most:g}"
     return BoundedSignal(plant.C[row], plant.D[row], bound.at_most, bound.energy**0.5, name)

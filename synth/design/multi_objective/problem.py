@@ -155,19 +155,24 @@ class MultiObjectiveProblem(CheckedFields):
         super().__post_init__()
         q, m = self.members[0].plants[0].Dyu.shape
         if not m or not q:
-            raise InputError(f"the plants of the family have {m} inputs and {q} measurements; give at least one of each")
+            raise InputError(
+                f"the plants of the family have {m} inputs and {q} measurements; give at least one input and one measurement"
+            )
         check_shape("structure", self.structure, (m, q), "a row for each input, and a column for each measured signal")
         check_shape("tolerance.sensors", self.tolerance.sensors, (q,), "one for each measured signal")
         check_shape("tolerance.forces", self.tolerance.forces, (m,), "one for each input")
         for name, members in (("peaks", [len(member.driven_by) for member in self.members]), ("bests", [len(self.members)])):
             given = getattr(self, name)
             if given is not None and any(len(given) != count for count in members):
-                raise InputError(f"{name} has {len(given)} numbers; expected {members[0]}, one for each peak or family member")
+                raise InputError(
+                    f"{name} has {len(given)} numbers; give {members[0]} numbers, one for each peak or member of the family"
+                )
         fewest = min(len(member.plants) for member in self.members)
         for goal in (self.minimise, *self.norms):
             if goal.which >= fewest:
                 raise InputError(
-                    f"norm {goal.name!r} has which = {goal.which}, but a member has only {fewest} plants; give a smaller index"
+                    f"norm {goal.name!r} has which = {goal.which}, the index of a plant, but one member of the family has "
+                    f"only {fewest} plants; give a smaller index"
                 )
 
     @property

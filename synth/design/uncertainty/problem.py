@@ -63,7 +63,7 @@ def _tolerance(value: Array | float, count: int, of: str) -> Array:
     try:
         width = np.array(np.broadcast_to(np.asarray(value, dtype=float), count))
     except (TypeError, ValueError):
-        raise InputError(f"the tolerance {of} has shape {np.shape(value)}; give one number for all, or {count}") from None
+        raise InputError(f"the tolerance {of} has shape {np.shape(value)}; give a single number for all, or {count}") from None
     if not np.all((width >= 0) & (width <= 1)):
         raise InputError(f"a tolerance {of} is {value}; give relative errors from 0 to 1 (0.1 is 10 %)")
     return width

@@ -68,8 +68,8 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
     parts = [part.strip() for part in text.split(":")]
     if not FEWEST <= len(parts) <= MOST:
         raise InputError(
-            f"--front {short_repr(text)} has {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
-            f"{list_names(AXES)}, separated by colons, such as ride:travel"
+            f"--front {short_repr(text)} has {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three "
+            f"of the axes {list_names(AXES)}, separated by colons, such as ride:travel"
         )
     axes: list[FrontAxis] = []
     for part in parts:
@@ -79,7 +79,10 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
         if any(axis.name == name for axis in axes):
             raise InputError(f"--front contains {name} twice; give each axis once")
         if equals and name not in ("band", "tolerance"):
-            raise InputError(f"--front {part}: {name} takes no value; only band=LOW-HIGH [Hz] and tolerance=PERCENT do")
+            raise InputError(
+                f"--front {part}: {name} takes no value, because only band=LOW-HIGH [Hz] and tolerance=PERCENT have "
+                "values; omit the value"
+            )
         axes.append(_axis(vehicle, name, given if equals else None))
     return tuple(axes)
 
@@ -113,7 +116,10 @@ def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
             raise InputError(f"--front tolerance={given} is not a valid error in percent; give a number above 0, up to 90")
         off = float(given) / 100
     if vehicle.filtered:
-        raise InputError("--front tolerance: filters in [performance] cannot be combined with measurement errors; omit tolerance")
+        raise InputError(
+            "--front tolerance: measurement errors cannot be combined with filters in [performance]; omit tolerance, or "
+            "the filters"
+        )
     text = f"worst norm of z in [performance] if each measurement is off by up to {100 * off:g} %"
     return FrontAxis("tolerance", NormOf(), off, text, "")
 
@@ -124,7 +130,8 @@ def _edges(given: str) -> tuple[float, float]:
     low, high = (float(part) for part in match.groups()) if match else (0.0, 0.0)
     if not LOWEST <= low < high <= HIGHEST:
         raise InputError(
-            f"--front band={given} is not a band; give lower and upper end, from {LOWEST:g} to {HIGHEST:g} Hz, such as band=4-8"
+            f"--front band={given} is not a band; give the lower and the upper end, from {LOWEST:g} to {HIGHEST:g} "
+            "Hz, such as band=4-8"
         )
     return low, high
 
@@ -137,7 +144,10 @@ def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
         if weight > 0 and name in vehicle.linear_model.outputs and vehicle.kind.signal(name).unit in ACCELERATIONS
     }
     if not weights:
-        raise InputError(f"--front {axis} needs accelerations, but [performance] weights none; weight one there, or omit {axis}")
+        raise InputError(
+            f"--front {axis} needs a weighted acceleration, but [performance] gives no acceleration a weight; give one a "
+            f"weight in [performance], or omit {axis}"
+        )
     return weights
 
 
@@ -225,7 +235,7 @@ def _corners(axis: FrontAxis, readings: int) -> list[Array]:
         return [np.zeros(readings)]
     if readings > MOST_READINGS:
         raise InputError(
-            f"--front {axis.name} allows at most {MOST_READINGS} measurements, but this controller has {readings}; omit "
-            f"{axis.name}, or give another controller with --controller"
+            f"--front {axis.name} allows at most {MOST_READINGS} measurements, but this controller has {readings}; "
+            f"omit {axis.name}, or give a different controller with --controller"
         )
     return [np.zeros(readings), *(axis.off * np.array(signs) for signs in product((-1.0, 1.0), repeat=readings))]

@@ -164,11 +164,14 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
     if entry is None:
         why = "it measures nothing" if name == "passive" else "this vehicle has no controller of that name"
     if why or entry is None:
-        raise InputError(f"--front cannot design static gains like {name!r}: {why}; give another controller with --controller")
+        raise InputError(
+            f"--front cannot design static gains like {name!r}: {why}; give a different controller with --controller"
+        )
     check_command(f"controller {name!r}", entry.parts, "front")
     if vehicle.integrals:
         raise InputError(
-            f"controller {name!r}: --front designs static gains, which have no integral; omit the integral in [performance]"
+            f"controller {name!r}: --front designs static gains, which cannot contain an integral; omit the integral "
+            "in [performance]"
         )
     return entry
 

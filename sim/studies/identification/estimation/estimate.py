@@ -145,13 +145,16 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0,
         InputError: there is nothing to estimate, or the searches from all starting points fail.
     """
     if not free:
-        raise InputError(f"no parameter is free; free one of {list_names(problem.first)} with --free")
+        raise InputError(
+            f"no parameter is free, so there is nothing to estimate; free one of {list_names(problem.first)} with --free"
+        )
     every = Residuals(problem, free)
     structure = structure_of(every.reduced(first_unknowns(every), every.scale)[0], free)
     left = tuple(name for name in free if name not in (*structure.held, *structure.silent))
     if not left:
         raise InputError(
-            "the signals determine neither a parameter nor a combination of parameters; measure a signal that depends on them"
+            "the signals determine neither a parameter nor a combination of parameters; measure a signal that "
+            "depends on the free parameters"
         )
     some = Residuals(problem, left)
     solution = solve_from_several(some, seed) if several else solve(some, first_unknowns(some))

@@ -131,7 +131,10 @@ def free_road(experiments: Sequence[Experiment], fix: Sequence[str], free: Seque
     if not roads:
         return None
     if len(roads) < len(experiments):
-        raise InputError("some logs have a random road, and others do not; identify them separately")
+        raise InputError(
+            "some logs have a random road, and others do not, but all logs of one estimate must be alike; identify the "
+            "two groups separately"
+        )
     if len({(one.roughness, one.waviness) for one in roads}) > 1:
         raise InputError("the random roads of the logs have different classes; give the same road for all logs")
     names = [name for name in ROAD_UNITS if name not in fix and (name == ROUGHNESS or name in free)]
@@ -183,8 +186,8 @@ def periodograms(experiment: Experiment) -> Iterator[Periodograms]:
         )
     if total < FEWEST:
         raise InputError(
-            f"{experiment.name}: the log has only {total} frequencies between {rough(low)} and {rough(high)} Hz; give a "
-            "longer log, or a road with a wider band"
+            f"{experiment.name}: the log has only {total} frequencies between {rough(low)} and {rough(high)} Hz, "
+            "which are too few; give a longer log, or a road with a wider band of frequencies"
         )
 
 

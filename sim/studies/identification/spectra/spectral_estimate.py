@@ -57,7 +57,8 @@ def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: 
     left = tuple(name for name in free if name not in (*structure.held, *structure.silent))
     if not left:
         raise InputError(
-            "the spectra determine neither a parameter nor a combination of parameters; measure a signal that depends on them"
+            "the spectra determine neither a parameter nor a combination of parameters; measure a signal that "
+            "depends on the free parameters"
         )
     of, p = SpectralResiduals(problem, left), len(left)
     x, rng = search(of, with_levels(of, of.first())), np.random.default_rng(seed)
