@@ -20,8 +20,8 @@ NAMES = ("velocity", "deflection", "force")
 # Pattern of a quantity that is followed by its unit
 QUANTITY_WITH_UNIT = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")
 FIRST_CELL = "velocity [m/s] / deflection [m] / force [N]"
-# A list is a table of this type only if its grid (velocities times deflections) has at most this many cells for each row of the
-# list; otherwise, too many cells would be empty
+# A list is read as a table of this type only if its grid has at most this many cells per row of the list. In a larger grid
+# (number of velocities times number of deflections), too many cells would be empty
 PAIRS_PER_ROW = 4
 
 

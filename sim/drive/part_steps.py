@@ -75,7 +75,7 @@ class PartBatch(Batch):
         self._pulled, self._motors = _span(pulled), _span([motors[names[i]] for i in pulled])
         self._inputs = _Inputs(model, models or [model])
         # A suspension without a tendon in the model has the index -1, which refers to the last tendon. This is harmless,
-        # because no force acts without a motor.
+        # because such a suspension has no motor either, so no force acts through the wrong tendon.
         indices = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, name) for name in tendons]
         self._lengths = _Lengths(model, indices, models or [model])
         self._response: Array | None = None

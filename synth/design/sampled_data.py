@@ -91,7 +91,7 @@ LARGEST_BOUNDED = 20
 FURTHEST = 5
 MOST_STATES = 100  # largest number of states of the discrete plant for which a descent is run; it then takes ten seconds
 CLOSE = 1e-9  # a norm counts as 1 if its relative distance from 1 is smaller than this
-GROW = 1.05  # factor to the next level if a level has no solution; for each further level, the factor is squared
+GROW = 1.05  # a level without a solution is multiplied by this factor, which is squared after each further failure
 FAR = 1e3  # ratio of the highest level that is tried to the level at which the search starts
 ROUNDS = 60  # largest number of rounds; a search usually needs about five
 # Largest number of variables of (22) at a level (21 states, one input). Solving (22) about two dozen times takes half a minute

@@ -57,8 +57,8 @@ FAR = 1e5  # condition number of X above which new coordinates are chosen; direc
 # largest number of coordinate changes at one point; if X still grows after these changes, the path has no point for this mu
 MOST_MOVES = 12
 DENSE = 200  # largest number of unknowns for which a dense basis is faster, because computations then need fewer calls
-# Largest number of unknowns, for example for 62 states and one input. A path then takes half a minute. The time grows with the
-# cube of the number of unknowns, and the memory with its square.
+# Largest number of unknowns of an LMI problem; a plant with 61 states and one input is just below this limit. A path then takes
+# half a minute. The time grows with the cube of the number of unknowns, and the memory with its square.
 MOST = 2000
 MOST_BORDERED = 600  # largest number of unknowns for a discrete plant; its matrices are larger, and they are treated as dense
 LARGEST_Y = 10.0  # upper bound on |Y| in the search for a feasible point

@@ -37,7 +37,7 @@ STAGE = 30  # number of rounds in a stage of the descent
 WORTH_A_STAGE = 3e-5  # another stage follows only if the norm decreased by at least this relative amount in the last stage
 ENDING_DECREASE = 1e-5  # a stage ends if the norm decreases by less than this relative amount over `OVER` rounds
 
-# the first solution of a subproblem includes the limits of all entries that are larger than this share of their limit
+# at first, a subproblem includes a limit only if the entry is closer to the limit than this fraction of the limit
 NEAR = 0.7
 
 # a bound that is exceeded by less than this relative amount counts as fulfilled. The bounds were tightened by more than this

@@ -39,7 +39,7 @@ EXACT = 1e-6  # share of p* D p and of gamma^2 that is kept as a margin for roun
 CLOSE = 1e-5  # relative accuracy with which the smallest gamma^2 at one frequency is computed
 LARGEST = 1e6  # limit on the entries of D and G, after p, q and z have been scaled to size one
 MOST_PARTS, MOST_PEAKS = 100, 40
-SHORTEST = 1e-4  # length of the shortest frequency interval, relative to the frequency of the interval
+SHORTEST = 1e-4  # length of the shortest frequency interval, relative to the lowest frequency in the interval
 # the search for the smallest gamma^2 at a frequency ends as soon as gamma^2 is below this multiple of the given gamma^2
 ENOUGH = 0.9997
 
