@@ -115,7 +115,6 @@ def _numbers(trade_off: Front, given: Sequence[int] | None) -> list[int]:
     for i in given or ():
         if i > len(trade_off.points):
             raise InputError(
-                f"--point {i}: the front has only {len(trade_off.points)} points; give a number from 1 to  "
-                f"{len(trade_off.points)}"
+                f"--point {i}: the front has only {len(trade_off.points)} points; give a number from 1 to {len(trade_off.points)}"
             )
     return sorted({*given}) if given else list(range(1, len(trade_off.points) + 1))

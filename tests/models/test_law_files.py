@@ -103,7 +103,7 @@ def test_a_sample_period_comes_with_it(tmp_path):
         ({"E": np.array([[2.0, 0.0], [0.0, 1.0]])}, "E is not the identity"),
         ({"InputDelay": np.array([[0.0, 0.1]])}, "InputDelay is above 0, but a law in a file cannot have a delay"),
         ({"OutputDelay": 0.1, "IODelay": np.array([[0.1, 0.0]])}, "OutputDelay, IODelay is above 0"),
-        ({"TimeUnit": "minutes"}, "TimeUnit is 'minutes'; in MATLAB, convert to seconds"),
+        ({"TimeUnit": "minutes"}, "TimeUnit is 'minutes' instead of seconds; in MATLAB"),
         ({"A": "ab"}, "A is text"),
     ],
 )

@@ -1078,7 +1078,7 @@ def test_the_name_of_a_state_is_free():
     text = read_vehicle("quarter_car").text + '\n[parts.suspension]\nkind = "bouc_wen"\nalpha = 1e4\n'
     assert parse_vehicle(text + "beta = 1.0\ngamma = 1.0\n").kind.of_parts[0].name == "suspension_hysteresis"
     kind = read_vehicle("quarter_car").kind
-    with pytest.raises(InputError, match=re.escape("has the state 'suspension_deflection', which is already the name")):
+    with pytest.raises(InputError, match=re.escape("would be called 'suspension_deflection', which is already the name")):
         kind.with_states((kind.signal("suspension_deflection"),))
 
 

@@ -395,10 +395,10 @@ def test_text_of_a_vehicle_file_runs_nothing(tmp_path):
         ("def step(sample, state): return None, state", "the returned force is not finite"),
         ("def step(sample, state): return sample['nothing'], state", "not measure 'nothing'; it measures suspen"),
         ("def step(sample, state): raise SystemExit('bye')", "SystemExit: bye, line 1"),
-        ("import os\ndef step(sample, state): os._exit(0)", "step ends its process (exit code 0) at 0 s; correct it"),
+        ("import os\ndef step(sample, state): os._exit(0)", "step ends its process (exit code 0) at 0 s; correct step"),
         ("def step(sample, state): raise KeyboardInterrupt", "step "),
         ("import os\ndef step(sample, state): os.kill(os.getpid(), 15)", "step "),
-        ("import os\nos._exit(3)\n", "the file ends its process (exit code 3); correct it"),
+        ("import os\nos._exit(3)\n", "the file ends its process (exit code 3); correct the file"),
         ("async def step(sample, state): return 0.0, state", "the law returns a coroutine, not two values"),
         ("def step(sample, state): yield 0.0, state", "the law returns a generator, not two values"),
         ("def step(sample, state): return float(input()), state", "step fails (EOFError: EOF when reading a line, line 1)"),
@@ -464,7 +464,7 @@ def test_a_call_that_takes_too_long(tmp_path, monkeypatch, body):
     """A law that does not return is ended, in Python's code or not. The line says which law, and after how long."""
     monkeypatch.setattr(running, "LONGEST", 0.2)
     found = refusal(vehicle_of(tmp_path, f"def step(sample, state):\n    {ENDLESS[body]}\n"))
-    assert found == "controller 'mine', law mine.py:step: step takes longer than 0.2 s at 0 s; correct it"
+    assert found == "controller 'mine', law mine.py:step: step takes longer than 0.2 s at 0 s; correct step"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a Ctrl-C of POSIX")

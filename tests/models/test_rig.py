@@ -158,7 +158,7 @@ def test_written_down():
     assert (again.posts, again.source, again.points) == (rig.posts, rig.source, rig.points)
     t = np.linspace(-1, 3, 50)
     assert np.allclose(rig.scaled(-2.0).displacement(t, "rear_left"), -2 * rig.displacement(t, "rear_left"), rtol=1e-12)
-    with pytest.raises(InputError, match=r"the points of the road .rig. are missing"):
+    with pytest.raises(InputError, match=r"does not contain the points of the road .rig."):
         described_road(rig.describe())
     for broken in (b"", rig.points[:200], rig.points.replace(b"front_left", b"front_left,x", 1), rig.points.replace(b",", b";")):
         with pytest.raises(InputError, match=r"rig|columns"):
@@ -197,7 +197,7 @@ def test_bad_files(text, said, tmp_path, capsys):
 
 def test_a_wheel_without_a_post():
     """A vehicle whose wheels have no posts is not driven."""
-    with pytest.raises(InputError, match="no column has the name of the wheel, rear_left"):
+    with pytest.raises(InputError, match="no column has the name of this wheel, rear_left"):
         history(CORNERS[:2]).check(CAR, sample_times(CAR, 1.0, 1e-3))
     assert track_width(CAR) > 0
     still = replace(history(), heights=np.zeros((200, 4)))

@@ -317,7 +317,7 @@ def test_files_of_other_programs(tmp_path):
     savemat(tmp_path / "uneven.mat", {"x": x, "z": z[1:]})
     for file, words in (
         ("binary.erd", "binary numbers (KEYNUM 1); export it with numbers as text"),
-        ("uneven.mat", "contains x 1x4, z 1x3; save vectors of equal length"),
+        ("uneven.mat", "x 1x4, z 1x3, which do not form one table"),
         ("a.mat:step=0.5", "step is given, but the file has distances"),
         ("d.mat", "or only heights, with a step as in :step=0.25"),
     ):
@@ -395,9 +395,9 @@ def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separ
         ("left,right,distance", ":columns=1,2", "column 1 is called 'left', but would be read as distance"),
         ("time,height,right", "", "column 1 is called 'time', but would be read as distance"),
         ("distance,speed,height", ":columns=1,2", "column 2 is called 'speed', but would be read as height"),
-        ("distance [cm],left,right", ":distance_unit=m", "column 1, 'distance [cm]', is in cm, but distance_unit = m is given"),
-        ("distance,height [in],t", ":height_unit=mm", "column 2, 'height [in]', is in in, but height_unit = mm is given"),
-        ("distance [furlong],left,right", "", "(allowed: cm, ft, in, km, m, mm); convert the column, or give :dist"),
+        ("distance [cm],left,right", ":distance_unit=m", "column 1, 'distance [cm]', has a heading with the unit cm, but"),
+        ("distance,height [in],t", ":height_unit=mm", "column 2, 'height [in]', has a heading with the unit in, but"),
+        ("distance [furlong],left,right", "", "(allowed: cm, ft, in, km, m, mm); convert the column to an allowed unit"),
         ("distance [m],left [m],right [m]\nm,mm,mm", "", "'left [m]' and 'mm' of column 2 contradict each other"),
     ],
 )  # fmt: skip
@@ -646,13 +646,13 @@ def test_description_is_enough(road):
     ("description", "message"),
     [
         ({}, "has no type; give one of bump, chirp"),
-        ({"type": "bump", "height": 0.1}, "road bump: length is missing"),
+        ({"type": "bump", "height": 0.1}, "road bump: the log contains no length"),
         ({**Bump().describe(), "factor": "a"}, "road bump: factor = 'a' is not allowed; give a number"),
         ({**Iso8608().describe(), "roughness": "1"}, "roughness = '1' is not allowed; give a number"),
-        ({**Iso8608().describe(), "roughness": 1e-3}, "roughness was logged as 0.001, but is now 0.000256"),
+        ({**Iso8608().describe(), "roughness": 1e-3}, "roughness was logged as 0.001, but is now computed as 0.000256"),
         ({**sinusoid(1.0, 1.0).describe(), "omega": [1.0, 2.0]}, "omega, amplitudes and phases have different lengths"),
-        ({**sinusoid(1.0, 1.0).describe(), "rms": 1.0}, "rms was logged as 1, but is now 0.707107"),
-        ({"type": "profile", "speed": 20.0}, "points of the road .profile. are missing"),
+        ({**sinusoid(1.0, 1.0).describe(), "rms": 1.0}, "rms was logged as 1, but is now computed as 0.707107"),
+        ({"type": "profile", "speed": 20.0}, "does not contain the points of the road .profile."),
     ],
 )
 def test_bad_description(description, message):

@@ -253,7 +253,7 @@ def test_a_folder_of_drawn_laws_is_verified(campaign, capsys):
         (["--best", "ride", "--subject-to", "travel:0.08"], "--subject-to travel: vehicle 'car.toml' has no metric travel; it"),
         (["--best", "ride", "--subject-to", "peak_travel:nan"], "--subject-to peak_travel = 'nan' is not allowed"),
         (["--best", "ride", "--subject-to", "peak_travel:1 kg"], "kg"),
-        (["--best", "ride", "--subject-to", "peak_travel"], "--subject-to peak_travel has no limit"),
+        (["--best", "ride", "--subject-to", "peak_travel"], "--subject-to peak_travel states no limit"),
         (["--best", "ride", "--subject-to", "ride:1", "--subject-to", "ride:2"], "ride already has a limit; give only the"),
         (["--subject-to", "ride:1"], "--subject-to needs --best"),
         (["--save", "x.toml"], "--save needs --best"),

@@ -199,7 +199,7 @@ def test_what_is_written_is_one(quick, capsys, monkeypatch, tmp_path):
     arguments = ["--front", "ride:travel", "--csv", str(table), "--save", str(saved), "--point", "3", "5"]
     with monkeypatch.context() as patch:
         patch.setattr(synth.command.trade_off, "front", lambda *asked: made(quick_front, *asked[:4]))
-        with pytest.raises(InputError, match="the front has 5 points"):
+        with pytest.raises(InputError, match="the front has only 5 points"):
             main([*arguments, "99"])
         assert not list(tmp_path.iterdir())
         assert main([*arguments, "--json"]) == 0

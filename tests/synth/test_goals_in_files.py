@@ -88,7 +88,10 @@ def test_what_is_no_bound_is_offered_every_kind():
     [
         ('peak = "suspension_deflection", road = "mountain"', "bounds[1] road = 'mountain': unknown road"),
         ('peak = "suspension_deflection", road = "absent.csv"', "bounds[1] road = 'absent.csv': road file absent.csv: "),
-        ('peak = "suspension_deflection", road = "iso8608:class=C"', "bounds[1] road = 'iso8608:class=C' does not end"),
+        (
+            'peak = "suspension_deflection", road = "iso8608:class=C"',
+            "bounds[1] road = 'iso8608:class=C' is a road that does not end",
+        ),
     ],
 )
 def test_a_bound_that_cannot_be_is_named_with_its_file(bound, said, tmp_path):

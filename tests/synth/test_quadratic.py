@@ -180,7 +180,7 @@ def test_refused():
         lqr_design(beside)
     with pytest.raises(InfeasibleError, match="none of them contains the mode at 0"):
         lqg_design(beside, np.hstack([Cy, np.zeros((len(Cy), 1))]))
-    with pytest.raises(InputError, match="numbers from 0 upwards"):
+    with pytest.raises(InputError, match="numbers of at least 0"):
         lqg_design(plant, Cy, [-0.1] * len(Cy))
     with pytest.raises(InputError, match="no disturbance"):
         lqr_design(replace(plant, Bw=0 * plant.Bw))

@@ -90,7 +90,7 @@ def test_names_count_not_places(paper):
     bare = SimpleNamespace(A=plain.A, B=plain.B, C=plain.C, D=plain.D)
     assert controller_from(paper, "mine", names, bare).law.record == found[0].record
     other = ss([[-1.0]], [[1.0, 2.0]], [[3.0]], [[4.0, 5.0]], inputs=["e", "sprung_velocity"])
-    with pytest.raises(InputError, match=r"has the input labels e, sprung_velocity; expected sprung_velocity, suspension_defl"):
+    with pytest.raises(InputError, match=r"has the input labels e, sprung_velocity; give sprung_velocity, suspension_defl"):
         controller_from(paper, "mine", names, other)
 
 
@@ -109,7 +109,7 @@ def test_order_of_forces():
     ("measured", "system", "said"),
     [
         (["sprung_velocity"], SimpleNamespace(A=[[1]]), "has no A, B, C and D"),
-        (["sprung_velocity"], ss([[0.5]], [[1]], [[1]], [[0]], True), "without a sample period"),
+        (["sprung_velocity"], ss([[0.5]], [[1]], [[1]], [[0]], True), "has no sample period"),
         (["sprung_velocity"], ss([[0.5]], [[1]], [[1]], [[0]], 0.01), r"\[implementation\] sample_period = 0.01"),
         (
             ["sprung_velocity"],

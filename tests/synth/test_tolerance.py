@@ -213,7 +213,7 @@ def test_an_exact_proof_holds_in_rational_numbers(car: Car):
     [
         (PRINTED_I, -0.1, 0, "0 to 1"),
         (PRINTED_I, 1.1, 0, "0 to 1"),
-        (PRINTED_I, [0.1] * 3, 0, "one number for all, or 2"),
+        (PRINTED_I, [0.1] * 3, 0, "a single number for all, or 2"),
         (PRINTED_I, 0, [0, 0], "forces"),
     ],
 )
