@@ -52,7 +52,7 @@ def driven_lines(
     kinds = " and ".join(dict.fromkeys(each.vehicle.kind.name for each in driven))
     sources = ", ".join(options.vehicles) if driven[0].title else driven[0].vehicle.source
     on = f"a road: {where}" if metrics else where
-    lines = title_lines(f"{kinds} over {on}; {options.duration:g} s, {1e3 * options.timestep:g} ms steps", sources)
+    lines = title_lines(f"{kinds} over {on}; {options.duration:g} s, step {1e3 * options.timestep:g} ms", sources)
     if metrics:
         lines += end_lines(road, options.duration)
     details, ride, found, below_table = _start_lines(options, driven), None, list[str](), list[dict[str, str]]()

@@ -82,7 +82,7 @@ def _describe_run(one: InspectedRun) -> Document:
     if run is not None:
         time, controller = run.prediction.time, run.controller
         title += f": {verdict(run).text}"
-        about.append(f"{len(time)} samples to {time[-1]:g} s, {1e3 * run.prediction.timestep:g} ms steps; {run.road.words}")
+        about.append(f"{len(time)} samples to {time[-1]:g} s, step {1e3 * run.prediction.timestep:g} ms; {run.road.words}")
         about.append(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}: {controller.text}")
         if controller.preview is not None:
             about.append(f"{controller.name} also uses the road {controller.preview.seconds:g} s ahead")

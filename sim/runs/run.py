@@ -53,7 +53,7 @@ class Run(RunResult, ShownResult):
         rows = {
             "vehicle": self.vehicle.kind.name,
             "road": self.road.words,
-            "time": f"{self.physics.time[-1]:g} s, {1e3 * self.physics.time[1]:g} ms steps",
+            "time": f"{self.physics.time[-1]:g} s, step {1e3 * self.physics.time[1]:g} ms",
             **({"undecided": "; ".join(self.undecided)} if self.undecided else {}),
         }
         return facts(f"run of {self.controller.name}: {verdict(self).text}", rows)

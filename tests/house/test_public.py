@@ -100,7 +100,7 @@ def test_what_is_shown(paper, designer):
         paper: ("quarter_car", "sprung_mass", "controllers: passive"),
         controller: ("controller I: designed", "sprung_velocity", "norm: 7.843188", "bound: 7.87"),
         controller.certificate: ("certificate: holds", "norm: 7.843188"),
-        run: ("run of I: MuJoCo agrees with the model; linear analysis applies over", "height 0.05", "1 s, 1 ms steps"),
+        run: ("run of I: MuJoCo agrees with the model; linear analysis applies over", "height 0.05", "1 s, step 1 ms"),
     }
     for one, parts in said.items():
         assert all(part in repr(one) for part in parts)
