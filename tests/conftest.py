@@ -50,9 +50,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """With `--part`, a test belongs to the part that its name decides, so a part is the same on every machine."""
     if part := config.getoption("--part"):
         number, count = map(int, part.split("/"))
-        others = [item for item in items if zlib.crc32(item.nodeid.encode()) % count != number % count]
-        config.hook.pytest_deselected(items=others)
-        items[:] = [item for item in items if item not in {*others}]
+        every = [(item, zlib.crc32(item.nodeid.encode()) % count == number % count) for item in items]
+        config.hook.pytest_deselected(items=[item for item, chosen in every if not chosen])
+        items[:] = [item for item, chosen in every if chosen]
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -155,7 +155,7 @@ ride metrics and their expectation                             3454   1287      
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
 measured logs beside runs                                       745    319    108
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
-identification from measured logs                              4469    731    277
+identification from measured logs                              4470    731    277
     sim/identify.py sim/studies/identification/{*,estimation/*,spectra/*} tests/*/test_identify*.py docs/how-to/identify.md
     docs/tutorials/identify-a-car.md
 map of validity                                                1361    371     35

@@ -119,10 +119,10 @@ def map_text(paths: Sequence[Path], vehicle: Vehicle) -> str:
     sections, others, timed = dict[str, list[ColumnGuess]](), list[str](), True
     for path in paths:
         headings = read_headings(path, units)
-        clocks = times_of(headings)
+        clocks = {one.column for one in times_of(headings)}
         timed = timed and bool(clocks)
         for heading in headings:
-            if heading.column in {one.column for one in clocks}:
+            if heading.column in clocks:
                 continue
             one = guess(heading, units)
             if one is None:

@@ -130,12 +130,7 @@ def check_forces(of: Estimate) -> list[str]:
     Raises:
         InputError: all forces together seem to have the opposite sign.
     """
-    problem, kind = of.problem, of.problem.vehicle.kind
-    forces = [
-        name
-        for i, name in enumerate(problem.vehicle.linear_model.inputs)
-        if any(one.forces[:, i].any() for one in problem.experiments if not one.part)
-    ]
+    problem, kind, forces = of.problem, of.problem.vehicle.kind, [*_measured_forces(of).values()]
     given = {one.name for one in kind.parameters if one.unit in SCALED and problem.vehicle.parameters.get(one.name)}
     if not forces or problem.known or not given or not given <= {*of.free}:
         return []
@@ -163,6 +158,13 @@ def _correlation(a: Array, b: Array) -> float:
     if both.sum() < 3 or not a[both].std() or not b[both].std():
         return 0.0
     return float(np.corrcoef(a[both], b[both])[0, 1])
+
+
+def _measured_forces(of: Estimate) -> dict[int, str]:
+    """Returns the names of the control forces that the logs contain, by index of the force."""
+    driven = [one.forces for one in of.problem.experiments if not one.part]
+    names = enumerate(of.problem.vehicle.linear_model.inputs)
+    return {j: name for j, name in names if any(forces[:, j].any() for forces in driven)}
 
 
 def contradictions(of: Estimate) -> list[str]:
@@ -252,9 +254,8 @@ def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
         if not all(one.offset_estimated for each in experiments for one in each.channels if one.signal == signal):
             unit = signal_units(problem.vehicle.kind)[signal]
             yield partial(_size_words, f"{signal} with an offset of {{}} {unit}"), _weighted(of, shifts)
-    for j, name in enumerate(problem.vehicle.linear_model.inputs):
-        if any(one.forces[:, j].any() for one in experiments if not one.part) and not problem.vehicle.parts.nonlinear:
-            yield partial(_gain_words, name), _weighted(of, [_by_force(of, i, j) for i in range(len(experiments))])
+    for j, name in _measured_forces(of).items() if not problem.vehicle.parts.nonlinear else ():
+        yield partial(_gain_words, name), _weighted(of, [_by_force(of, i, j) for i in range(len(experiments))])
     for place in problem.vehicle.kind.suspensions:
         words = partial(_size_words, f"friction of {{}} N in the suspension{place.ending.replace('_', ' ')}")
         each = [_friction(of, i, place.force) for i in range(len(problem.predictions))]
