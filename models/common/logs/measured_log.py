@@ -126,7 +126,7 @@ def read_measured_log(
         scales = [_scale(one, units[name], name) for name, one in used.items()]
         numbers, lines = table.numbers([one.column - 1 for one in used.values()], ragged=True, gaps=True)
         time = np.arange(len(numbers)) / rate if rate is not None else table.seconds(clocks[0], "s")
-        for other in clocks[1:]:  # of the other plots
+        for other in clocks[1:]:  # the clock of each other plot
             if not np.array_equal(table.seconds(other, "s"), time, equal_nan=True):
                 both = columns_in_words([clocks[0], other])
                 raise InputError(f"{both} contain different times; export the plots with the same times")
