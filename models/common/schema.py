@@ -438,8 +438,12 @@ def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()
     with error_in(where):
         for part in text.split(":")[1:]:
             name, equals, value = part.partition("=")
-            if not equals or name not in (names or known):
+            if not equals:
                 raise InputError(f"{part!r} does not have the form NAME=VALUE; NAME must be one of {list_names(names or known)}")
+            if name not in (names or known):
+                raise InputError(f"the name {name!r} in {part!r} is unknown; give one of {list_names(names or known)}")
+            if re.search(r",\s*\w+=", value):
+                raise InputError(f"the values in {part!r} are separated by commas; separate them by colons, as in a=1:b=2")
             if name in given:
                 raise InputError(f"{name} is given twice, as {given[name]!r} and as {value!r}; give it once")
             given[name] = value

@@ -158,7 +158,7 @@ REFUSED = [
     (f"{RIG} rig:depth=2", "a test rig needs a file with the heights of its posts"),
     (f"{RIG} rig:file=drive.rsp", "RPC III files (.rsp, .drv) cannot be read, so export their channels as text"),
     (f"{RIG} rig:file=none.csv", "drive file none.csv: there is no such file"),
-    (f"{RIG} rig:file=drive.csv:speed=2", "'speed=2' does not have the form NAME=VALUE; NAME must be one of"),
+    (f"{RIG} rig:file=drive.csv:speed=2", "the name 'speed' in 'speed=2' is unknown; give one of"),
     (
         f"{RIG} rig:file=drive.csv:height_unit=m",
         "column 2, 'front [mm]', has a heading with the unit mm, but height_unit = m gives",

@@ -544,7 +544,9 @@ def test_bad_profiles(tmp_path, text, said):
     ("text", "said"),
     [
         ("iso8608:class=I", "unknown road class 'I'; give A, B"),
-        ("iso8608:rough=C", "'rough=C' does not have the form NAME=VALUE"),
+        ("iso8608:rough=C", "the name 'rough' in 'rough=C' is unknown"),
+        ("bump:height", "'height' does not have the form NAME=VALUE; NAME must be one of height"),
+        ("bump:height=0.05,length=2", "the values in 'height=0.05,length=2' are separated by commas; separate them by colons"),
         ("gravel", "unknown road 'gravel'; give one of iso8608, bump"),
         ("", "unknown road ''; give one of iso8608, bump"),
         (
@@ -558,7 +560,7 @@ def test_bad_profiles(tmp_path, text, said):
         ("sweep:highest=0.1", "sweep highest = 0.1 is not allowed; give a number from 0.5005 to 100 Hz"),
         ("nowhere.csv", "there is no such file"),
         ("road.csv:columns=1", "as in columns=1,3"),
-        ("road.csv:offset=3", "'offset=3' does not have the form NAME=VALUE; NAME must be one of columns, distance_unit"),
+        ("road.csv:offset=3", "the name 'offset' in 'offset=3' is unknown; give one of columns, distance_unit"),
         ("road.crg:height_unit=mm", "contains its own units"),
         ("iso8608:iri=2:class=C", "more than once, by class = C and iri = 2; give only one"),
         ("iso8608:gd=32e-6:iri=2", "more than once, by iri = 2 and gd = 3.2e-05; give only one"),

@@ -206,7 +206,7 @@ def test_numbers(section, name, key):
 def test_a_text(kind, choose):
     """In a text, as on a command line, a number may have its unit; what is wrong with a setting is a line that names the text."""
     section = {**OBSTACLES, **LOADS}[kind]
-    with refused(match=rf"^(road|load) '{kind}:colour=1': 'colour=1' does not have the form NAME=VALUE; NAME must be one of \w+"):
+    with refused(match=rf"^(road|load) '{kind}:colour=1': the name 'colour' in 'colour=1' is unknown; give one of \w+"):
         choose(f"{kind}:colour=1")
     for name, key in keys(section).items():
         if isinstance(key, SI) and (name != "speed" or kind == "flat"):

@@ -95,8 +95,9 @@ def test_what_random_roads_need(tmp_path):
     """A class without a speed, and a log whose second half is three times as fast, are named."""
     values = signals((BODY, TRAVEL), 1, 20.0)
     path = written(tmp_path / "log.csv", (BODY, TRAVEL), values)
-    with pytest.raises(InputError, match="needs the speed of the vehicle"):
-        identify([path], read_vehicle("quarter_car"), LogMap(LogKeys(road="iso8608")))
+    for road in ("iso8608", "sine:frequency=2", "bump"):
+        with pytest.raises(InputError, match=f"road = '{road}' needs the speed of the vehicle"):
+            identify([path], read_vehicle("quarter_car"), LogMap(LogKeys(road=road)))
     louder = [one * np.where(np.arange(len(one)) < len(one) / 2, 1.0, 3.0) for one in values]
     written(path, (BODY, TRAVEL), louder)
     of = identify([path], read_vehicle("quarter_car"), LogMap(LogKeys(road="iso8608", speed=SPEED)), [MASS])

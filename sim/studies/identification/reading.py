@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.experiment import EXTENSION, FORCE, Channel, Experiment, signal_units
 from sim.studies.identification.log_map import FLAT, HELD, LOGGED, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
 from sim.studies.identification.part_prediction import part_of
+
+if TYPE_CHECKING:
+    from models.roads.choice import RoadChoice
 
 GAP = 5  # if more steps than this are missing, a new stretch of the log begins, with its own initial state
 LEAST = 50  # smallest number of samples in a stretch of the log
@@ -239,7 +243,9 @@ def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: 
     from models.roads.choice import choose_road
     from models.roads.road import RoadInput
 
-    road = choose_road(keys.road).build(vehicle, keys.speed, 0, keys.speed * float(time[-1] - time[0]) + 1.0)
+    choice = choose_road(keys.road)
+    _check_speed(keys, choice)
+    road = choice.build(vehicle, keys.speed, 0, keys.speed * float(time[-1] - time[0]) + 1.0)
     return RoadInput(vehicle, road, time - time[0]).heights, True
 
 
@@ -249,8 +255,7 @@ def _random_road(keys: LogKeys, vehicle: Vehicle) -> Iso8608 | None:
 
     if keys.part or keys.road in ROADS or not (road := choose_road(keys.road)).random:
         return None
-    if not keys.speed:
-        raise InputError(f'road = {short_repr(keys.road)} needs the speed of the vehicle; add a line such as speed = "20 m/s"')
+    _check_speed(keys, road)
     if vehicle.parts.nonlinear:
         raise InputError(
             "an estimate with a random road needs linear springs and dampers; give the heights of the road, or a vehicle "
@@ -259,6 +264,18 @@ def _random_road(keys: LogKeys, vehicle: Vehicle) -> Iso8608 | None:
     built = road.build(vehicle, keys.speed, 0, 0.0)
     assert isinstance(built, Iso8608)
     return built
+
+
+def _check_speed(keys: LogKeys, road: "RoadChoice") -> None:
+    """Checks that the map gives the speed of the vehicle, unless the road is a drive file, which contains times.
+
+    Raises:
+        InputError: the map gives no speed.
+    """
+    from models.roads.rig import Rig
+
+    if not keys.speed and not isinstance(road.road, Rig):
+        raise InputError(f'road = {short_repr(keys.road)} needs the speed of the vehicle; add a line such as speed = "20 m/s"')
 
 
 def _counted(name: str, values: Array, unit: str) -> tuple[Array, list[str]]:
