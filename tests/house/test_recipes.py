@@ -232,6 +232,27 @@ def _observer(root: Path, file: str, line: str) -> str:
     """
 
 
+def _recording(root: Path, file: str, line: str) -> str:
+    (root / "sim" / "recording" / "npz_writer.py").write_text(file, encoding="utf-8")
+    register(root, "recording", line)
+    return """if True:
+        import contextlib, io, json
+        import numpy as np
+        from models import Bump, read_vehicle
+        from sim.bump import main
+        from sim import run
+
+        with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
+            main(["--controller", "passive", "--json", "--logs", "recorded"])
+        logs = json.loads(out.getvalue())["logs"]
+        print([*logs], {path.rpartition("/")[2].partition(".")[0] for path in logs.values()} == {logs["npz"][9:-4]})
+        [one] = run(read_vehicle("quarter_car"), "passive", Bump())
+        with np.load(logs["npz"]) as arrays:
+            print(all(np.array_equal(arrays[f"passive/mujoco/{name}"], one.physics[name]) for name in one.physics.names))
+            print(arrays["passive/linear/time"].shape == one.sampled.time.shape)
+    """
+
+
 def _study(root: Path, file: str, line: str) -> str:
     (root / "sim" / "studies" / "modes.py").write_text(file, encoding="utf-8")
     register(root, "study", line)
@@ -245,6 +266,7 @@ RECIPES = {  # by their headings
     "Add a method of design": _method_of_design,
     "Add a driver": _driver,
     "Add an observer": _observer,
+    "Add a file to a log": _recording,
     "Add a metric": _metric,
     "Add a study": _study,
 }
@@ -386,6 +408,12 @@ def test_add_a_driver_and_an_observer(done):
     """The recipes' files and lines make both: relays agree with their law, and peaks are those of recordings."""
     printed = done("Add an observer")
     assert printed.splitlines() == ["True True"] * 2 + ["[True, True]"] * 2, printed
+
+
+def test_add_a_file_to_a_log(done):
+    """The recipe's file and line write another file of each log, with the numbers of the run, under a key of `--json`."""
+    printed = done("Add a file to a log")
+    assert printed.splitlines() == ["['mcap', 'npz', 'layout', 'rerun'] True", "True", "True"], printed
 
 
 def test_add_a_metric(done):
