@@ -80,8 +80,8 @@ class Profile(MeasuredRoad):
         if slope > STEEPEST:
             raise InputError(
                 f"the road is {x[-1] - x[0]:.4g} m long in steps of {np.median(np.diff(x)):.3g} m, with heights from "
-                f"{z.min():.4g} to {z.max():.4g} m. Its rms slope of {slope:.3g} is steeper than that of any road; "
-                "check the units, as in :distance_unit=km or :height_unit=mm"
+                f"{z.min():.4g} to {z.max():.4g} m. Its rms slope of {slope:.3g} is steeper than that of real roads; "
+                "give the right units, as in :distance_unit=km or :height_unit=mm"
             )
 
     def remark(self, length: float) -> str:
@@ -294,7 +294,10 @@ def check_ascending(
     if len(x) < fewest:
         raise InputError(f"a {what} needs at least {fewest} points, but this one has {len(x)}; add more points")
     for i in np.flatnonzero(~np.isfinite(x) | ~np.all(np.isfinite(heights), axis=1))[:1]:
-        raise InputError(f"{where(i)} is not finite: {axis} {x[i]:g}, heights {' '.join(f'{z:g}' for z in heights[i][:8])}")
+        raise InputError(
+            f"{where(i)} contains a number that is not finite: {axis} {x[i]:g}, heights "
+            f"{' '.join(f'{z:g}' for z in heights[i][:8])}; give finite numbers"
+        )
     steps = np.diff(x)
     for i in np.flatnonzero(steps <= 0)[:1]:
         if steps[i] == 0:
@@ -303,15 +306,15 @@ def check_ascending(
             )
         there = f"{axis} falls from {x[i]:.12g} {unit} to {x[i + 1]:.12g} {unit} ({where(i)} and {where(i + 1)})"
         if (steps < 0).all():
-            raise InputError(f"{there} and between all other points; reverse the order of the points")
+            raise InputError(f"{there}, and also between all other points; reverse the order of the points")
         both = "; if this column is a map coordinate, give the other coordinate, too" if np.mean(steps < 0) > OFTEN else ""
         raise InputError(f"{there}; sort the points by {axis}{both}")
     usual = float(np.median(steps))
     for i in np.flatnonzero(smooth & (steps > GAP * usual))[:1]:
         there = f"there is a gap from {x[i]:g} {unit} to {x[i + 1]:g} {unit} ({where(i)} and {where(i + 1)})"
         raise InputError(
-            f"{there}: more than {GAP:g} times the usual step of {usual:g} {unit}; fill this gap with points, or "
-            f"divide the {what} at the gap"
+            f"{there}, which is more than {GAP:g} times the usual step of {usual:g} {unit}; fill this gap with points, "
+            f"or split the {what} into two at the gap"
         )
 
 

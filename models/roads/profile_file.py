@@ -205,7 +205,7 @@ def choose_columns(
             raise InputError(f"{column}, but only columns called {list_names(READ)} are read; {SAY}{A_RIG}")
         if names[i] and names[i] not in allowed:
             role = f"the height of the {allowed[1]} track" if len(allowed) == 2 else allowed[0]
-            raise InputError(f"{column}, but would be read as {role}; {SAY}{A_RIG}")
+            raise InputError(f"{column}, but this column would be read as {role}; {SAY}{A_RIG}")
     return used
 
 
@@ -220,8 +220,8 @@ def erd_text(text: str) -> tuple[str, str]:
     sizes = [part.strip() for part in lines[1].split(",")] if len(lines) > 1 else []
     if not end or len(sizes) < 6:
         raise InputError(
-            "the ERD file has no numbers of channels and samples on line 2, or no line END; export the profile as a "
-            "text file instead"
+            "line 2 of the ERD file does not give the numbers of channels and samples, or the file has no END line; "
+            "export the profile as a text file instead"
         )
     if sizes[4] != str(IN_TEXT):
         raise InputError(f"the ERD file has binary numbers (KEYNUM {sizes[4]}); export it with numbers as text (KEYNUM 5)")
@@ -365,8 +365,8 @@ def _check_tracks(distance: Array, heights: Array, first: int) -> None:
     difference = heights[:, 0] - heights[:, 1]
     if (largest := np.abs(difference).max()) > APART or np.ptp(difference) > max(SLIGHT, DIVERGING * np.ptp(distance)):
         raise InputError(
-            f"the columns have no headings. The last two differ by up to {largest:.6g} m, too much for tracks; write "
-            f"headings above line {first}, such as x [m], y [m], height [m] or distance [m], left [mm], right [mm]"
+            f"the last two columns lack headings and differ by up to {largest:.6g} m, too much for two tracks; "
+            f"write headings above line {first}, such as x [m], y [m], height [m] or distance [m], left [mm], right [mm]"
         )
 
 

@@ -72,8 +72,8 @@ class Rig(MeasuredRoad):
             if post_name(post) in _names(wheel):
                 return post
         raise InputError(
-            f"no column has the name of this wheel, {_names(wheel)[0]}, so its post has no heights; rename one of the "
-            f"columns {list_names(self.posts[:20])}"
+            f"no column is called {_names(wheel)[0]}, so the post of the wheel with this name has no heights; give one of "
+            f"the columns {list_names(self.posts[:20])} this name"
         )
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
@@ -194,7 +194,10 @@ def check_posts(posts: Sequence[str]) -> None:
     for post in posts:
         name = post_name(post)
         if not name or "," in name:
-            raise InputError(f"a column is called {short_repr(post)}; give this column the name of the wheel on this post")
+            raise InputError(
+                f"a column is called {short_repr(post)}, which is not the name of a wheel; give this column the name of "
+                "the wheel on its post"
+            )
         if name in seen:
             raise InputError(
                 f"the columns {short_repr(seen[name])} and {short_repr(post)} belong to the same wheel; remove one of "

@@ -190,7 +190,7 @@ class Road(ABC):
         timestep = float(time[1])
         if self.duration < 2 * timestep and not self.jumps:
             raise InputError(
-                f"the road takes only {self.duration:.3g} s, less than two timesteps of {timestep:g} s, so the "
+                f"each wheel is on the road for only {self.duration:.3g} s, less than two timesteps of {timestep:g} s, so the "
                 "simulation would miss the road; give a longer road, a lower speed, or a smaller timestep"
             )
         if self.track != "both" and not any(wheel.side for wheel in vehicle.kind.wheels):
@@ -207,8 +207,8 @@ class Road(ABC):
         if 0 < highest < LOWEST:
             raise InputError(
                 f"the road's height is at most {highest:.2g} m during the {time[-1]:.4g} s of the run, but heights "
-                f"below {LOWEST:g} m are lost in rounding; give a higher road, a higher speed, a longer duration, or "
-                "height 0"
+                f"below {LOWEST:g} m are lost in rounding; give larger heights, drive longer or faster to larger heights, "
+                "or give height 0"
             )
 
 

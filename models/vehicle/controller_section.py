@@ -41,7 +41,7 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Giv
         super().__post_init__()
         if self.file is not None:
             raise InputError(
-                "file names a file next to the vehicle file, but this vehicle is read from text; give the matrices "
+                "the key file refers to a file next to the vehicle file, but this vehicle is read from text; give the matrices "
                 "instead of file"
             )
         matrices = [key for key in (*MATRICES, "sample_period") if getattr(self, key) is not None]

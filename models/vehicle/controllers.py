@@ -148,8 +148,8 @@ def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]
             raise InputError(f"{HERE} contains {signal!r} twice; list this signal once")
         if signal in context["heights"] and not study:
             raise InputError(
-                f"{HERE}: {signal!r} is a height above the datum of a flat road, which no sensor on a car can "
-                f"measure; give study = true for a theoretical study, or choose signals from {measurable}"
+                f"{HERE}: {signal!r} is an absolute height (above the datum of a flat road), which no sensor on a car "
+                f"can measure; give study = true for a theoretical study, or choose signals from {measurable}"
             )
         if signal not in (*context["measurable"], *context["heights"]):
             raise InputError(
@@ -158,8 +158,8 @@ def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]
             )
     if study and not set(value) & set(context["heights"]):
         raise InputError(
-            f"{HERE} contains no height above the datum of a flat road, but study = true has an effect only with such a "
-            "height; omit study"
+            f"{HERE} contains no absolute height (above the datum of a flat road), but study = true affects only such "
+            "heights; omit study"
         )
     return tuple(value)
 
@@ -228,13 +228,13 @@ class GivenSection(SignalSection):
     def __post_init__(self) -> None:
         if self.certificate is not None and not self.given:
             raise InputError(
-                "certificate is allowed only in a section with a gain or a law, to which the certificate belongs; omit "
-                "certificate, or give a gain or a law"
+                "certificate is allowed only in a section that gives the certified gain or law; omit certificate, or give "
+                "this gain or law"
             )
         if self.loads is not None and not self.loads:
             raise InputError(
-                "loads = {} names no load; give each load with the size that counts as much as 1 m/s of road velocity, "
-                "or omit loads"
+                "loads = {} names no load; give each load with a size that the design weights like 1 m/s of road "
+                "velocity, or omit loads"
             )
 
     @property
@@ -422,7 +422,7 @@ def _hardware(
     by_force = request.structure is not None and request.structure.rows is not None
     if forces and not (asked.lag or by_force or request.two_steps):
         raise InputError(
-            f"has noise = true, but [implementation] has noise on {forces[0]!r}, but a design cannot account for "
+            f"has noise = true, and [implementation] gives noise on {forces[0]!r}, but a design cannot account for "
             f"noise on a measured force; omit the noise on {forces[0]!r}"
         )
     if asked.lag and limits.actuator_bandwidth is None:

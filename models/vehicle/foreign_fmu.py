@@ -148,8 +148,8 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
     forces = [outputs[name] for name in (FORCE, *(f"{FORCE}_{corner}" for corner in CORNERS)) if name in outputs]
     if not forces:
         raise InputError(
-            f"the FMU has the outputs {list_names(outputs)}, and their forces are unknown; rename the outputs to {FORCE} "
-            f"or {FORCE}_CORNER, or give outputs"
+            f"the FMU has the outputs {list_names(outputs)}, but none of these names is the name of a force; "
+            f'rename the outputs to {FORCE} or {FORCE}_CORNER, or give outputs = {{ NAME = "control_force" }}'
         )
     for one in (*inputs.values(), *forces):
         name = names.get(one.name, one.name)

@@ -56,7 +56,8 @@ def with_sections(text: str, lines: Sequence[str]) -> str:
         parse_toml(f'{text}\n[controllers.""]')
     except InputError as error:
         raise InputError(
-            "no section can be added to controllers = { ... } of the vehicle file; write each controller as [controllers.NAME]"
+            "no controller can be added, because the vehicle file has controllers = { ... }, to which TOML allows no further "
+            "sections; write each controller as [controllers.NAME]"
         ) from error
     return text.rstrip("\n") + "\n\n" + "\n".join(lines) + "\n"
 

@@ -56,8 +56,8 @@ class LimitsSection(StopSection):
             raise InputError(f"has limit = {self.limit!r}, but no actuator_force; give actuator_force [N], or omit limit")
         if self.limit == "force" and self.force_rate is not None and self.actuator_bandwidth is not None:
             raise InputError(
-                'has limit = "force" and force_rate, but with force_rate, actuator_force also limits the commands; '
-                'give limit = "command", or omit limit'
+                'has limit = "force", so that actuator_force limits only the forces, but with force_rate, actuator_force '
+                'also limits the commands; give limit = "command", or omit limit'
             )
 
 
@@ -347,8 +347,8 @@ class ImplementationSection(Implementation):
         period = in_unit(period, "s", "sample_period")
         if not is_finite(period) or not period > 0:
             raise InputError(
-                f"delay = {short_repr(delay)} is a time, but there is no sample period; give a sample period, as in "
-                'sample_period = "5 ms", or give delay as a number of samples'
+                f"delay = {short_repr(delay)} is a time, which cannot be converted to samples without a sample period; give a "
+                'sample period, as in sample_period = "5 ms", or give delay as a number of samples'
             )
         return {**given, "delay": round(seconds / period, 9)}
 
@@ -372,8 +372,8 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
         )
     if abs(delay * steps - round(delay * steps)) > 1e-6:
         raise InputError(
-            f"delay = {samples(delay)} = {delay * steps * timestep:g} s is not a multiple of the timestep "
-            f"{timestep:g} s, but forces can change only between two timesteps; give a multiple of {timestep:g} s, or "
+            f"delay = {samples(delay)} ({delay * steps * timestep:g} s) is not a multiple of the timestep "
+            f"{timestep:g} s, but forces can change only at the start of a timestep; give a multiple of {timestep:g} s, or "
             "a smaller timestep"
         )
     return steps

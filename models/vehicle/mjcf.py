@@ -193,8 +193,8 @@ def _check_line(tendon: Any, one: "SuspensionPart") -> None:
     own, slope = (float((tendon.damping if one.damps else tendon.stiffness)[0]), line.damping if one.damps else line.stiffness)
     if not abs(own - slope) <= SAME * max(abs(own), abs(slope)):
         raise InputError(
-            f"the tendon {one.tendon!r} has {one.parameter} = {own:g}, but the vehicle file gives {slope:g}, so a "
-            f"curve cannot replace the force of the tendon; let write_mjcf write {one.parameter}, or omit the curve"
+            f"the tendon {one.tendon!r} has {one.parameter} = {own:g}, but the curve replaces only the value "
+            f"{slope:g} of the vehicle file; let write_mjcf write {one.parameter} from the vehicle file, or omit the curve"
         )
 
 
@@ -268,7 +268,8 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
             if len(along) < count or not np.all(np.isfinite(along)) or not along.any():
                 raise InputError(
                     f"{where}: sensor {part!r} has {count} component(s), but user = {short_repr(along)} is not a direction "
-                    f'with {count} component(s); give a direction, as in user="0 0 1", with <size nuser_sensor="3"/>'
+                    f'with {count} component(s); give a direction, as in user="0 0 1", '
+                    'and add <size nuser_sensor="3"/> to the file'
                 )
     data = mujoco.MjData(model)
     with quiet():
@@ -305,8 +306,8 @@ def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
         if not abs(moved + LOWEST_HUB) < 1e-6:
             raise InputError(
                 f"MJCF {kind.mjcf}: raising {wheel.road_body!r} by {LOWEST_HUB} m should change "
-                f"{wheel.tyre_deflection!r} by -{LOWEST_HUB} m, but changes it by {moved:.4g} m; place the hub "
-                f"higher, at least {LOWEST_HUB} m above the road"
+                f"{wheel.tyre_deflection!r} by -{LOWEST_HUB} m, not by {moved:.4g} m; if the hub "
+                f"is too low, place the hub at least {LOWEST_HUB} m above the road"
             )
 
 

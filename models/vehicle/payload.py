@@ -82,8 +82,8 @@ def apply_payload(
     about_rest += [part.damping for part in kind.suspensions if isinstance(curves.get(part.damping), ForceSurface)]
     if about_rest:
         raise InputError(
-            f"[payload] changes the ride height, but the curve {about_rest[0]} starts from the ride height without "
-            "payload; so they do not fit; omit [payload], and give the curve, mass and inertias of the laden car"
+            f"[payload] changes the ride height, from which the curve {about_rest[0]} starts, so the curve is wrong for the "
+            "laden car; omit [payload], and give the curve, mass and inertias of the laden car"
         )
     for where, given in named.items():
         payload = read(where, PayloadSection, given)

@@ -126,8 +126,9 @@ def check_weights(weights: Mapping[str, float], sums: Sequence[WeightedSum], out
     for name in weights:
         if name not in outputs:
             raise InputError(
-                f"[performance] unknown signal {name!r}; give one of {list_names(outputs)}. Give {ROAD!r} for a "
-                "filter of the road; for a sum of signals, give a table under a new name"
+                f"[performance] unknown signal {name!r}; give one of {list_names(outputs)}. To filter the road "
+                f"velocity, give a table called {ROAD!r}, and to weight a sum of signals, give a table with the key sum under "
+                "a new name"
             )
     if not any(weights.values()) and not sums:
         raise InputError(

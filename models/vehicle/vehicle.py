@@ -451,7 +451,7 @@ class Vehicle(ShownResult):
             InputError: `part` is not the name of a part.
         """
         if part not in WITHOUT:
-            raise InputError(f"without {part!r} is not known; known: {list_names(WITHOUT)}")
+            raise InputError(f"without: unknown part {part!r}; the parts are {list_names(WITHOUT)}")
         how, dampers = self.implementation, self.dampers
         how = how.without_noise if part == "noise" else replace(how, delay=0) if part == "delay" else how
         if part == "lag":
@@ -579,8 +579,8 @@ class Vehicle(ShownResult):
             parse_vehicle(text, folder=folder)
         except InputError as error:
             raise InputError(
-                f"--save {path}: the vehicle file could not be read from this path ({error}); give a path in the "
-                "folder of the vehicle file"
+                f"--save {path}: a vehicle file at this path could not be read again ({error}), because the vehicle "
+                "refers to files in another folder; give a path in the folder of the vehicle file that was read"
             ) from error
         return text
 

@@ -25,8 +25,8 @@ def law_values(vehicle: Vehicle, controller: str) -> dict[str, float | None]:
     entry = vehicle.controllers.get(controller)
     if entry is None or not entry.source.values:
         raise InputError(
-            f"controller {controller!r} has no numbers in the vehicle file to sample, because its law is designed, in "
-            "Python or semi-active; sample a different controller, or first write its gain with synth --save"
+            f"controller {controller!r} has no numbers to sample, because it is a design, a law in Python or a law "
+            "without numbers; sample a different controller, or first write the designed gain with synth --save"
         )
     return entry.source.values
 

@@ -94,12 +94,15 @@ class Manifest:
             InputError: the checksum of the campaign or the version of a package differs from that in the plan.
         """
         if self.digest != digest:
-            raise InputError(f"{folder} contains the results of another campaign, or its files have changed; {instead}")
+            raise InputError(
+                f"{folder} contains the results of another campaign, or the files of this campaign have changed; {instead}"
+            )
         for name, version in versions.items():
             if self.versions.get(name) != version:
                 raise InputError(
                     f"the campaign in {folder} was started with {name} {self.versions.get(name)}, but {version} is "
-                    f"installed now, so its numbers could differ; install {self.versions.get(name)}, or {instead}"
+                    f"installed now, so new results could differ from the earlier results; install "
+                    f"{self.versions.get(name)}, or {instead}"
                 )
 
 
@@ -130,7 +133,8 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
         names = [field.name for field in fields(Manifest)]
         if not {*names} <= {*whole}:
             raise InputError(
-                f"the record of the campaign lacks some of the entries {', '.join(names)}; restore this file, or {instead}"
+                f"this record of the campaign lacks at least one of the entries {', '.join(names)}; restore the record file, "
+                f"or {instead}"
             )
         return Manifest(**{name: whole[name] for name in names})
 
@@ -164,7 +168,8 @@ def lock_folder(folder: Path) -> Iterator[None]:
             if isinstance(error, filelock.Timeout) or not (folder / RESULTS).exists():
                 raise InputError(
                     f"another campaign is running in {folder}, or this folder cannot be locked "
-                    f"({error.strerror or 'locked'}); wait for its end, or give a different folder with --results"
+                    f"({error.strerror or 'locked'}); wait until the other campaign ends, or give a different folder "
+                    "with --results"
                 ) from error
         try:
             for left in folder.glob(PARTIAL_FILES):

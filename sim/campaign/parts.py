@@ -78,8 +78,8 @@ def check_overlap(folder: Path, parts: Sequence[CampaignPart]) -> None:
     """
     if parts and parts[0].of != parts[-1].of:
         raise InputError(
-            f"{folder / PARTS}: the parts {parts[0]} and {parts[-1]} of this campaign overlap, because they divide it "
-            "into different numbers of parts; use the same number in each run, or give a different folder with "
+            f"{folder / PARTS}: the parts {parts[0]} and {parts[-1]} of this campaign overlap, because the "
+            "campaign was divided differently; use the same number of parts in each run, or give a different folder with "
             "--results"
         )
 

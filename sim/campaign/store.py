@@ -174,7 +174,7 @@ def _read(path: Path, names: Sequence[str], expected: Sequence[str] = ()) -> pa.
         other = {*expected, *names} - {*file.schema_arrow.names}
         if other:
             raise InputError(
-                "a different version of Roadproof wrote these results, without the columns  "
-                f"{first_few(sorted(other))}; {ELSEWHERE}"
+                f"these results lack the column(s) {first_few(sorted(other))}, because a different version of Roadproof wrote "
+                f"the results; {ELSEWHERE}"
             )
         return file.read(list(names)).select(list(names))

@@ -75,8 +75,8 @@ class Response(ShownResult):
         expected = (len(self.time), len(self.signals))
         if self.values.shape[-2:] != expected:
             raise InputError(
-                f"the last axes of values are {self.values.shape[-2:]}, but the numbers of times and signals need "
-                f"{expected}; give values of this shape"
+                f"the last two axes of values have the lengths {self.values.shape[-2:]}, but the numbers of times and signals "
+                f"are {expected}; give values whose last axes have these lengths"
             )
 
     @property
@@ -114,7 +114,8 @@ class Response(ShownResult):
         """
         if self.values.ndim < 3 or not -len(self.values) <= index < len(self.values):
             raise InputError(
-                f"index = {index} selects no run from values of shape {self.values.shape}; give an index of the first axis"
+                f"index = {index} selects no run, because the values have the shape {self.values.shape}; give an index that "
+                "exists on the first axis, which counts the runs"
             )
         before = {name: values[index] for name, values in self.before.items()}
         return Response(self.time, self.signals, self.values[index], before)

@@ -174,7 +174,7 @@ def as_response(vehicle: Vehicle, run: RecordedRun, name: str, timestep: float, 
         signals = (*signals, *states)
     if {*logged.names} != {signal.name for signal in signals}:
         raise InputError(
-            f"the {name} response has signals that differ from the signals of a {vehicle.kind.name}: "
+            f"the signals of the logged {name} response are not the signals of a {vehicle.kind.name}, which are "
             f"{list_names(s.name for s in signals)}"
         )
     columns = [logged.names.index(signal.name) for signal in signals]

@@ -60,7 +60,7 @@ def record(
     """
     names = [run.name for run in runs]
     if len(set(names)) < len(names):
-        raise InputError(f"the runs have the names {', '.join(names)}; give each run a different name")
+        raise InputError(f"at least two of the run names {', '.join(names)} are equal; give each run a different name")
     try:
         # The temporary files are in the folder of the final files, so that the renaming at the end does not copy data.
         with made_folder(folder, "logs"), tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:

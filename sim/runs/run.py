@@ -108,9 +108,9 @@ def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
         if fastest and (rate := max(fastest.values())) * largest > RK4_REACH:
             name = max(fastest, key=lambda one: fastest[one])
             raise InputError(
-                f"timestep = {timestep} s is too large: {above}, because a state of [parts.{name}] has a rate of "
+                f"timestep = {timestep} s is too large: {above}, because a state of [parts.{name}] changes at a rate of "
                 f"{rate:.4g} 1/s{' at 2 m/s' * (rate > slow.get(name, 0.0))}; give a smaller timestep, or change "
-                f"[parts.{name}] so that the element is slower"
+                f"[parts.{name}] to slow this state down"
             )
         units = ", and check that masses are in kg, stiffness in N/m and damping in N s/m"
         if improbable := remarks(known_quantities(vehicle)):

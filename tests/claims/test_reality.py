@@ -108,7 +108,7 @@ def test_delay_and_sample_period_fit_the_timestep(paper, designer):
     vehicle = with_reality(paper, None, Implementation(sample_period=0.01, delay=1.5))
     simulate([vehicle], [designer.design("I")], [Bump()], sample_times(paper, 0.1, 1e-3))
     for one, said in (
-        (vehicle, "delay = 1.5 samples = 0.015 s is not a multiple of the timestep 0.002 s"),
+        (vehicle, "delay = 1.5 samples (0.015 s) is not a multiple of the timestep 0.002 s"),
         (with_reality(paper, None, Implementation(sample_period=3e-3)), "not a multiple of the timestep"),
     ):
         with refused(said):

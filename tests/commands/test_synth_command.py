@@ -359,7 +359,7 @@ def test_nothing_is_added_to_an_inline_table(tmp_path, monkeypatch, option):
     monkeypatch.chdir(tmp_path)
     rest = read_vehicle("quarter_car").text.partition("[controllers")[0]
     Path("car.toml").write_text('controllers = { mine = { measured = ["sprung_velocity"] } }\n' + rest)
-    with refused("added to controllers = { ... }", "write each controller as [controllers.NAME]"):
+    with refused("the vehicle file has controllers = { ... }", "write each controller as [controllers.NAME]"):
         main(["--vehicle", "car.toml", "--controller", "mine", *option])
 
 

@@ -25,14 +25,14 @@ what all commands share: files, options, checks, tables of numbers   3570   2326
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6661   2061    359
+vehicle file, types, equations, MJCF                           6663   2061    359
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controller*,file_schema,limits_and_implementation,mjcf,names,payload,performance,sketch,vehicle}.py
     tests/*/test_{cars,heights,mjcf,new,on_demand,seat,sketch,units,vehicle_file,written_units}.py
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new,seat,vehicle-data}.md
-laws and families in files                                      298    349    111
+laws and families in files                                      299    351    111
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     171    202      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
@@ -64,7 +64,7 @@ parts of a suspension                                          2306   1962      
 loads, links, tyre damping                                      822   1440     57
     models/roads/loads/* models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
-measured roads, rigs, OpenCRG, IRI                             1495    988      0
+measured roads, rigs, OpenCRG, IRI                             1501    988      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
 analytic and random roads                                      1794    940    171
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py
@@ -133,12 +133,12 @@ recordings: MCAP, Foxglove, Rerun                              2361   1142     4
 page and figures                                               3804   1381     79
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      3117   1797    208
+campaigns                                                      3123   1797    208
     sim/campaign/* sim/runs/sampled_vehicle.py tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/campaign.md
     docs/how-to/tune-a-law.md
 studies: one noun for commands and the page                     477      0      0
     sim/command/study.py sim/studies/{command_name,study,subject}.py
-gallery of papers                                               784    343     49
+gallery of papers                                               785    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
 margins in physics                                             2217    823     78
@@ -149,13 +149,13 @@ recommendation of a controller                                 1699    400    21
     docs/how-to/{recommend,sensors-and-controllers}.md docs/tutorials/best-controller.md
 frequency, sweep                                               2211    614     38
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             3454   1287      0
+ride metrics and their expectation                             3455   1287      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{kinds/*,loads,over_roads,run_metrics,score*,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
 measured logs beside runs                                       745    319    108
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
-identification from measured logs                              4487    732    277
+identification from measured logs                              4489    732    277
     sim/identify.py sim/studies/identification/{*,estimation/*,spectra/*} tests/*/test_identify*.py docs/how-to/identify.md
     docs/tutorials/identify-a-car.md
 map of validity                                                1361    371     35
@@ -166,10 +166,10 @@ MuJoCo loop                                                    3057   1101      
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*
     tests/*/test_{drivers,energy,hardware,observers,reality,shares}.py
-linear responses                                               1125    416      0
+linear responses                                               1125    418      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,response_batch,rounding}.py
     sim/linear/sampled_response.py tests/support/analysed.py tests/synth/test_laws.py
-runs, verdict, their text                                      2861   1052    112
+runs, verdict, their text                                      2862   1052    112
     sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py

@@ -375,7 +375,7 @@ def test_own_kinds_have_curves_where_they_say_so(tmp_path):
     np.testing.assert_array_equal(found["suspension_velocity"], expected["suspension_velocity"])
 
     (tmp_path / "mine.py").write_text(source.replace('p["c_strut"], weight)', "400.0, weight)"))
-    with pytest.raises(InputError, match="'suspension' has c_strut = 400, but the vehicle file gives 1750, so a curve"):
+    with pytest.raises(InputError, match="'suspension' has c_strut = 400, but the curve replaces only the value 1750 of the"):
         build_model(read_vehicle(tmp_path / "mine.toml"), 1e-3)
 
 

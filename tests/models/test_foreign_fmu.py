@@ -162,7 +162,7 @@ def test_names_of_other_tools(old, new, names, library, tmp_path, monkeypatch):
         (
             '"control_force"',
             '"torque"',
-            "the FMU has the outputs torque, and their forces are unknown; rename the outputs to control_force",
+            "the FMU has the outputs torque, but none of these names is the name of a force; rename the outputs to control_force",
         ),
         ("linux64", "other64", "the FMU has binaries for other64, but not for linux64; export the FMU for linux64"),
         ("</fmiModelDescription>", "", "give an FMU of FMI 2 or 3 for co-simulation"),

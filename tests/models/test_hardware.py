@@ -210,7 +210,7 @@ def test_a_law_keeps_what_it_knows():
 def test_noise_on_a_force():
     """No design has noise on the measurement of a force."""
     force = "[implementation]\nnoise = { control_force = 1.0 }\n"
-    with pytest.raises(InputError, match="has noise on 'control_force', but a design cannot"):
+    with pytest.raises(InputError, match="gives noise on 'control_force', but a design cannot"):
         built("noise = true", section=KINDS["accelerometer"], with_what=force)
 
 

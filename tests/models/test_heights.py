@@ -155,9 +155,9 @@ INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
 
 
 @pytest.mark.parametrize(("old", "new", "said"), [
-    ("study = true\n", "", "'sprung_displacement' is a height above the datum of a flat road, .* give study = true"),
+    ("study = true\n", "", "'sprung_displacement' is an absolute height .above the datum of a flat road., .* give study = true"),
     ('"sprung_displacement", "sprung_velocity", "unsprung', '"tyre_deflection", "sprung_velocity", "suspension_deflection"]#',
-     "contains no height above the datum of a flat road, but study = true has an effect only with such a height"),
+     "contains no absolute height .above the datum of a flat road., but study = true affects only such heights"),
     ("gain = ", 'order = "full"\n#', "only a given law may measure heights"),
     ("suspension_deflection = 0.1", f"suspension_deflection = {INTEGRAL}", "cannot return the integral to zero"),
 ])  # fmt: skip

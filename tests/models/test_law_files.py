@@ -146,7 +146,9 @@ def test_only_a_vehicle_file_names_files(tmp_path, monkeypatch):
     file = vehicle_with(tmp_path, mat(LAW))
     monkeypatch.chdir(tmp_path)
     for folder in (None, tmp_path):
-        with pytest.raises(InputError, match="file names a file next to the vehicle file, but this vehicle is read from text"):
+        with pytest.raises(
+            InputError, match="the key file refers to a file next to the vehicle file, but this vehicle is read from text"
+        ):
             parse_vehicle(file.read_text(), folder=folder)
 
 

@@ -409,7 +409,7 @@ def test_campaigns_know_loads_of_files(tmp_path):
     assert all(row["linear_error"] < 1e-5 for row in rows[:4])  # RK4 at 1 ms
     assert campaign(["--verify", str(folder)]) == 0
     (tmp_path / "push.csv").write_text("time [s],heave [N]\n0,0\n0.2,501\n1,501\n")
-    with pytest.raises(InputError, match="contains the results of another campaign, or its files have changed"):
+    with pytest.raises(InputError, match="contains the results of another campaign, or the files of this campaign have changed"):
         campaign([str(file), "--results", str(folder)])
     file.write_text(text.replace('"road.csv"]', '"flat + ./push.csv+lift:force=100"]'))
     with pytest.raises(InputError, match="are the same; list only one of them"):

@@ -175,7 +175,7 @@ def test_parts_that_do_not_fit(folder, part, value, said):
         ("</actuator>", '<motor joint="sprung"/></actuator>', r"has 2 actuators, but linear_model has 1 inputs"),
         ("</actuator>", '<motor name="fitted_1" joint="sprung"/></actuator>', r"reserved; rename the actuator 'fitted_1'"),
         ('<joint name="sprung" type="slide" axis="0 0 1"/>', '<freejoint name="sprung"/>', r"MJCF"),
-        ('pos="0 0 .3"', 'pos="0 0 .25"', r"place the hub higher, at least"),
+        ('pos="0 0 .3"', 'pos="0 0 .25"', r"if the hub is too low, place the hub at least"),
     ],
 )
 def test_a_model_that_does_not_work(folder, old, new, said):

@@ -1065,11 +1065,11 @@ def test_the_state_of_a_friction_is_no_error_of_the_line():
 def test_a_state_that_is_too_fast_for_the_timestep():
     """A stiff mount or friction, whose state is faster than RK4 bears, is refused in a line with its section, before the run."""
     with pytest.raises(
-        InputError, match=r"because a state of \[parts.own\] has a rate of 4.086e\+04 1/s at 2 m/s; give a smaller"
+        InputError, match=r"because a state of \[parts.own\] changes at a rate of 4.086e\+04 1/s at 2 m/s; give a smaller"
     ):
         sample_times(parse_vehicle(f"{read_vehicle('quarter_car').text}\n[parts.own]\n{MR}"), 1.0, 1e-3)
     text = read_vehicle("quarter_car").text + '\n[parts.mount]\nkind = "maxwell"\nstiffness = 1e6\ndamping = 100.0\n'
-    with pytest.raises(InputError, match=r"because a state of \[parts.mount\] has a rate of 1e\+04 1/s; give a smaller"):
+    with pytest.raises(InputError, match=r"because a state of \[parts.mount\] changes at a rate of 1e\+04 1/s; give a smaller"):
         sample_times(parse_vehicle(text), 1.0, 1e-3)
 
 

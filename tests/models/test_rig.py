@@ -171,7 +171,7 @@ GOOD = "time [s],front [mm],rear [mm]\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n"
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (GOOD.replace("rear", "back"), "rear, so its post has no heights; rename one of the columns back, front"),
+        (GOOD.replace("rear", "back"), "with this name has no heights; give one of the columns back, front this name"),
         (GOOD.replace("\n", ",0\n").replace("mm],0", "mm],spare [mm]"), "column 'spare' does not belong to a wheel"),
         (GOOD.replace("rear", "Front"), "the columns 'front' and 'Front' belong to the same wheel"),
         (GOOD.replace("front [mm]", "front"), "'front', has no unit (allowed: cm, ft, in, km, m, mm); write the heading"),
@@ -197,7 +197,7 @@ def test_bad_files(text, said, tmp_path, capsys):
 
 def test_a_wheel_without_a_post():
     """A vehicle whose wheels have no posts is not driven."""
-    with pytest.raises(InputError, match="no column has the name of this wheel, rear_left"):
+    with pytest.raises(InputError, match="no column is called rear_left, so the post"):
         history(CORNERS[:2]).check(CAR, sample_times(CAR, 1.0, 1e-3))
     assert track_width(CAR) > 0
     still = replace(history(), heights=np.zeros((200, 4)))

@@ -387,14 +387,14 @@ def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separ
 @pytest.mark.parametrize(
     ("above", "settings", "said"),
     [
-        ("distance,left,right", ":columns=1,3,2", "'right', but would be read as the height of the left track"),
+        ("distance,left,right", ":columns=1,3,2", "'right', but this column would be read as the height of the left track"),
         ("a,b,c", "", "column 1 is called 'a', but only columns called distance, height, left, right are read; choose columns"),
         ("distance,a,b [mm]", "", "column 2 is called 'a', but only columns called distance"),
         ("distance,height,height [m]", "", "columns 2, 'height' and 3, 'height [m]', both contain height; choose columns"),
         ("x,station,z", "", "columns 1, 'x' and 2, 'station', both contain distance"),
-        ("left,right,distance", ":columns=1,2", "column 1 is called 'left', but would be read as distance"),
-        ("time,height,right", "", "column 1 is called 'time', but would be read as distance"),
-        ("distance,speed,height", ":columns=1,2", "column 2 is called 'speed', but would be read as height"),
+        ("left,right,distance", ":columns=1,2", "column 1 is called 'left', but this column would be read as distance"),
+        ("time,height,right", "", "column 1 is called 'time', but this column would be read as distance"),
+        ("distance,speed,height", ":columns=1,2", "column 2 is called 'speed', but this column would be read as height"),
         ("distance [cm],left,right", ":distance_unit=m", "column 1, 'distance [cm]', has a heading with the unit cm, but"),
         ("distance,height [in],t", ":height_unit=mm", "column 2, 'height [in]', has a heading with the unit in, but"),
         ("distance [furlong],left,right", "", "(allowed: cm, ft, in, km, m, mm); convert the column to an allowed unit"),
@@ -459,13 +459,13 @@ def test_a_path_that_is_not_sure(tmp_path):
     s, x, y, z = survey()
     noise = np.random.default_rng(1).normal(0, 0.1, (2, len(s)))
     for above, columns, said in (
-        ("", (x, y, z), "the columns have no headings. The last two differ by up to 5.6"),
+        ("", (x, y, z), "the last two columns lack headings and differ by up to 5.6"),
         ("", (x - x[0], y - y[0], z - z[0]), "write headings above line 1, such as x [m], y [m], height [m]"),
         ("x,y,z\n", (x + noise[0], y + noise[1], z), "positions are noisy or not in driving order"),
         ("x,y,z\n", (s, 1.5 * (np.arange(len(s)) % 2), z), "positions are noisy or not in driving order"),
         ("lat,lon,z\n", (1e7 * x, y, z), ", beyond the range of degrees; give decimal degrees, up to 360 for longitude and 90"),
         ("station,x,y,z\n", (np.arange(len(s)), x, y, z), "480 m long, but the path through columns 2 ('x') and 3 ('y') is 120"),
-        ("x,z\n", (s[::-1], z), "and between all other points; reverse the order of the points"),
+        ("x,z\n", (s[::-1], z), ", and also between all other points; reverse the order of the points"),
         ("x,z\n", (np.sin(s), z), "if this column is a map coordinate, give the other coordinate, too"),
     ):
         (tmp_path / "road.csv").write_text(
@@ -616,7 +616,7 @@ def test_roads_that_cannot_be_driven():
     not."""
     quarter, full, time = read_vehicle("quarter_car"), read_vehicle("full_car"), np.arange(1000) * 1e-3
     for vehicle, road, words in (
-        (quarter, Bump(length=0.0249), "the road takes only 0.00199 s, less than two timesteps of 0.001 s"),
+        (quarter, Bump(length=0.0249), "each wheel is on the road for only 0.00199 s, less than two timesteps of 0.001 s"),
         (
             quarter,
             ScaledRoad(Pothole(track="left"), 2.0),

@@ -116,7 +116,7 @@ ADDED = {
         ("sprung mass = 500", "not valid TOML", "sprung_mass for"),
         (
             '[controllers.rig]\nmeasured = ["sprung_displacement"]',
-            "is a height above the datum of a flat road, which no sensor on a car",
+            "is an absolute height (above the datum of a flat road), which no sensor on a car",
         ),
     ],
     ("quarter_car", "[controllers.mine]"): [('semi_active = "skyhook"', "but control_force has none; add [actuators]")],

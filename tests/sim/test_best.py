@@ -280,13 +280,13 @@ def test_bad_requests(tmp_path, monkeypatch, options, said):
         ),
         ("[samples.controllers.hybrid]", "[samples.controllers.hybrid] gives no key of the law to sample"),
         ('[samples.controllers.sky]\n"gain[0][1]" = { uniform = [0, 1] }', "'gain[0][1]' cannot be sampled; sample one of gain"),
-        ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "'skyhook' has no numbers in the vehicle file"),
+        ("[samples.controllers.skyhook]\nsky_damping = { uniform = [0, 1] }", "'skyhook' has no numbers to sample"),
         (
             '[samples.controllers.I]\n"gain[0][0]" = { uniform = [0, 1] }',
-            "controller 'I' has no numbers in the vehicle file to sample, because its law",
+            "controller 'I' has no numbers to sample, because it is a design",
         ),
-        ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' has no numbers in the vehicle file"),
-        ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' has no numbers in the vehicle file"),
+        ('[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }', "'passive' has no numbers to sample"),
+        ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' has no numbers to sample"),
         ("[samples.controllers.add]\nmix = { uniform = [0, 1] }", "the campaign has no controller 'add'"),
     ],
 )

@@ -461,7 +461,7 @@ BAD_FILES = [
     ({}, SAMPLED + "colour = { uniform = [1, 2] }", "'colour' cannot be sampled; sample one of sprung_mass"),
     ({}, SAMPLED + "sprung_mass = 3", "sprung_mass = 3 is not a distribution"),
     ({}, SAMPLED + "sprung_mass = { cauchy = [1, 2] }", "is not a distribution; give sprung_mass = { uniform = [low, high] } or"),
-    ({}, SAMPLED + "sprung_mass = { uniform = [500, 400] }", "covers no range"),
+    ({}, SAMPLED + "sprung_mass = { uniform = [500, 400] }", "is an empty range"),
     (
         {},
         SAMPLED + "sprung_mass = { uniform = [-10, 400] }",

@@ -168,7 +168,7 @@ def test_the_campaign_file_has_changed(parts, tmp_path):
     copied(parts, tmp_path)
     (tmp_path / "campaign.toml").write_text(TEXT.replace("[10.0, 20.0]", "[10.0, 21.0]"))
     for arguments in (["--merge"], ["--part", "1/3"]):
-        with refused("contains the results of another campaign, or its files have changed"):
+        with refused("contains the results of another campaign, or the files of this campaign have changed"):
             main([str(tmp_path / "campaign.toml"), *arguments])
 
 

@@ -203,7 +203,7 @@ def test_both_solutions_of_the_mirror_case():
     [
         (TRAVEL, 1000, "thousandths of its unit, such as mm"),
         (BODY, 1 / 9.80665, "in g instead of m/s2"),
-        (BODY, -1, "opposite sign .* sign = -1"),
+        (BODY, -1, "is opposite to the sign .* sign = -1"),
     ],
 )
 def test_wrong_units_and_signs_are_named(signal, factor, message):
@@ -224,8 +224,8 @@ def forced(gain: float, strength: float = 500.0, duration: float = 6.0, seed: in
 @pytest.mark.parametrize(
     ("changes", "strength", "message"),
     [
-        ({}, 500.0, "opposite sign of this vehicle's force"),
-        ({"suspension_stiffness": 1.5}, 100.0, "grow until the force has no effect"),
+        ({}, 500.0, "is opposite to the sign of this force in the vehicle model"),
+        ({"suspension_stiffness": 1.5}, 100.0, "grow so much that the force has no effect"),
     ],
 )
 def test_a_force_of_the_opposite_sign_is_named(changes, strength, message):
@@ -581,7 +581,7 @@ def test_a_log_whose_times_are_too_coarse_for_its_road(tmp_path):
         identify([path], CAR, log_map)
     log_map.write_text(f'{head}"d1_m [mm]"\n')
     with pytest.raises(
-        InputError, match=r"rad at the road.s usual .* The road.s phase is therefore unknown; export times with more"
+        InputError, match=r"rad of phase at the road.s usual frequency of .* so this phase is unknown; export times with more"
     ):
         identify([path], CAR, log_map)
 

@@ -183,7 +183,7 @@ REFUSALS = (  # what is no fault of a file, and which command it does not go wit
     "no sensor measures the states of filters in [performance]",
     "is not an integer, but exported code can change forces only at samples",
     "semi-active dampers with curves c_min and c_max cannot be exported",
-    "is not stable at a timestep of",
+    "is not stable because of the timestep of",
     "unknown controller 'passive'; give --controller with one of",
     "requests no force, so it closes no loop",
     "cannot be stabilised with these measurements",

@@ -294,6 +294,8 @@ def test_a_force_that_comes_back_larger_bears_no_delay(share, tmp_path):
     (tmp_path / "car.toml").write_text(
         f"{vehicle.text}\n[controllers.mine]\nmeasured = ['sprung_acceleration']\ngain = [[-{gain}]]\n"
     )
-    with pytest.raises(InputError, match=rf"neither delay nor sampling.*contain {share:.4g} times its own force") as said:
+    with pytest.raises(
+        InputError, match=rf"neither delay nor sampling.*returns in its measurements {share:.4g} times as large"
+    ) as said:
         main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "mine"])
     assert "smaller timestep" not in str(said.value), "none would help"

@@ -83,8 +83,8 @@ def _robust_performance(designer: Designer, one: PrintedNumber) -> float:
     bounds = [promise.proved for promise in designer.design(one.controller).robustness if promise.what == ROBUST_PERFORMANCE]
     if not bounds or bounds[0] is None:
         raise InputError(
-            f"controller {one.controller!r} has no weighted errors, which this number needs; give a weight in the "
-            "tolerance of this controller"
+            f"controller {one.controller!r} has no uncertainty with a weight, but this number is a bound for such "
+            "uncertainties; give a weight in the tolerance of this controller"
         )
     return bounds[0]
 
@@ -102,7 +102,7 @@ def _zero(designer: Designer, one: PrintedNumber) -> float:
     on_axis = above[(off <= REAL * np.abs(zeros)) & (above > REAL * np.abs(zeros).max())]
     if not len(on_axis):
         raise InputError(
-            f"{one.signal} has no zero on the imaginary axis in its transfer function from {model.inputs[0]}; give a "
+            f"the transfer function to {one.signal} from {model.inputs[0]} has no zero on the imaginary axis; give a "
             "different signal"
         )
     return float(on_axis.min())
@@ -133,7 +133,8 @@ def _pole(designer: Designer, one: PrintedNumber) -> float:
     poles = poles[poles.imag >= 0]
     if len(one.at) != 2 or not 0 <= one.at[0] < len(poles):
         raise InputError(
-            f"at = {list(one.at)} does not select a pole; give [0 to {len(poles) - 1}, 0 (real part) or 1 (imaginary part)]"
+            f"at = {list(one.at)} does not select a pole; give two numbers: the pole, from 0 to {len(poles) - 1}, and 0 for "
+            "its real part or 1 for its imaginary part"
         )
     k, part = one.at
     # The values are rounded, so that rounding errors do not determine the order of undamped poles
@@ -153,8 +154,8 @@ def _recovery(designer: Designer, one: PrintedNumber) -> float:
     last = pieces_of(designer, one).counted_from(begins).last_above(one.half_band)
     if last is None or math.isinf(last):
         raise InputError(
-            f"{one.text}: the signal never leaves the band, or never settles, so this number does not exist; list the "
-            "number under `missing`"
+            f"{one.text}: this number does not exist, because the signal never leaves the band, or never settles in it; "
+            "move the number from [[printed]] to [[missing]]"
         )
     return last
 
@@ -171,8 +172,8 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
         value = None if metrics is None else getattr(metrics, key)
         if value is None:
             raise InputError(
-                f"{one.text}: the signal is {metrics and metrics.settled}, so this number does not exist; list the number "
-                "under `missing`"
+                f"{one.text}: the signal is {metrics and metrics.settled}, so this number does not exist; move the number "
+                "from [[printed]] to [[missing]]"
             )
         return value
 
@@ -227,7 +228,7 @@ def _on_grid(designer: Designer, one: PrintedNumber) -> float:
     least = one.timestep / 10
     if one.what not in OF_A_GRID or not least <= one.grid <= one.duration:
         raise InputError(
-            f"grid = {one.grid:g} s of {one.what} is not allowed; give a number from {least:g} s to the duration of "
+            f"grid = {one.grid:g} s is not allowed for what = {one.what}; give a number from {least:g} s to the duration of "
             "the run, or omit grid"
         )
     times = np.arange(round(one.duration / one.grid, 6) // 1 + 1) * one.grid

@@ -93,13 +93,13 @@ def check_columns(problem: IdentificationProblem) -> list[str]:
             named = next((words for factor, words in FACTORS.items() if abs(ratio / factor - 1) < NEAR), "")
             if own > ALIKE and named:
                 raise InputError(
-                    f"{one.name}: {channel.signal} is {ratio:.4g} times as large as this vehicle's prediction, so the "
-                    f"column seems to be {named}; write the unit of the column in the map"
+                    f"{one.name}: {channel.signal} is {ratio:.4g} times as large as the vehicle model predicts, so the "
+                    f"column of this signal seems to be {named}; write the unit of the column in the map"
                 )
             if own < -ALIKE:
                 raise InputError(
-                    f"{one.name}: {channel.signal} has the opposite sign of this vehicle's prediction (correlation {own:.2f}); "
-                    f"{_reverse(channel.signal)}"
+                    f"{one.name}: the sign of {channel.signal} is opposite to the sign that the vehicle model predicts "
+                    f"(correlation {own:.2f}); {_reverse(channel.signal)}"
                 )
             others = [j for j in range(len(units)) if j != i and units[j] == units[i]]
             for j in others:
@@ -112,7 +112,9 @@ def check_columns(problem: IdentificationProblem) -> list[str]:
             unforced = LogPrediction(without, prediction.changed)(problem.first, {}, start, delays, False).values
             pairs = zip(one.channels, predicted.T, unforced.T, strict=True)
             if all(_correlation(channel.values - rest, whole - rest) < -ALIKE for channel, whole, rest in pairs):
-                raise InputError(f"{one.name}: {name} has the opposite sign of this vehicle's force; {_reverse(name)}")
+                raise InputError(
+                    f"{one.name}: the sign of {name} is opposite to the sign of this force in the vehicle model; {_reverse(name)}"
+                )
     return remarks
 
 
@@ -139,8 +141,8 @@ def check_forces(of: Estimate) -> list[str]:
     steps = -np.linalg.lstsq(R, c)[0][scaled]
     if np.all(steps > 1 + SURE * np.sqrt(np.diag(of.spread)[scaled])):
         raise InputError(
-            f"{list_names(forces)} seems to have the opposite sign, because masses, stiffnesses and dampings grow until the "
-            f"force has no effect; {_reverse(forces[0])}"
+            f"{list_names(forces)} seems to have the opposite sign, because the estimated masses, stiffnesses and "
+            f"dampings grow so much that the force has no effect; {_reverse(forces[0])}"
         )
     names = [of.free[i] for i in scaled]
     scale = float(np.exp(np.mean([np.log(of.values[name] / problem.first[name]) for name in names])))

@@ -300,7 +300,7 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
     if not experiments:
         raise InputError(
             "a wheel is in the air nearly all the time, so the log contains little about the vehicle; drive more "
-            "slowly, or over a lower road"
+            "slowly, or on a smoother road"
         )
     return replace(problem, experiments=tuple(experiments)), remarks
 

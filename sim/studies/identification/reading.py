@@ -179,7 +179,7 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     if not experiments:
         what = "the road or the forces" if random is None else "a signal"
         raise InputError(
-            f"the log contains no {least} successive samples without a gap in {what}; give a log with longer sections "
+            f"the log has fewer than {least} successive samples without a gap in {what}; give a log with longer sections "
             "without gaps"
         )
     if len(experiments) > 1:
@@ -236,7 +236,7 @@ def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: 
         if missing:
             what = "the input is the acceleration of the hubs, but" if keys.road == UNKNOWN else 'road = "logged", but'
             raise InputError(
-                f"{what} no column is {list_names(missing)}; add the column to the map, or give a different road: "
+                f"{what} no column of the map gives {list_names(missing)}; add this column to the map, or give a different road: "
                 "flat, unknown, or a file"
             )
         return np.stack([driving[name] for name in names], axis=-1), False
@@ -368,8 +368,8 @@ def _slow(road: Array, step: float, late: float) -> list[str]:
     usual = float(np.searchsorted(np.cumsum(power.sum(axis=1)), power.sum() / 2)) / (step * len(velocity))
     if 2 * np.pi * usual * late > MOST_PHASE:
         raise InputError(
-            f"the times are wrong by up to {rough(1e3 * late)} ms, a phase of {rough(2 * np.pi * usual * late)} rad "
-            f"at the road's usual {rough(usual)} Hz (sampled at {rough(1 / step)} Hz). The road's phase is therefore "
+            f"the times are wrong by up to {rough(1e3 * late)} ms, which is {rough(2 * np.pi * usual * late)} rad of phase "
+            f"at the road's usual frequency of {rough(usual)} Hz (sampled at {rough(1 / step)} Hz), so this phase is "
             "unknown; export times with more digits, or sample faster"
         )
     slow = power[: max(1, math.ceil(len(power) / 2))].sum() / max(power.sum(), 1e-300)

@@ -112,7 +112,8 @@ def check_band(road: Road, percent: float, given: bool) -> None:
         raise InputError(f"--band {percent:g} % is not allowed; give {low:g} to {high:g} %")
     if given and step_of(road) is None:
         raise InputError(
-            "--band applies only to the response to a step of the road; give --road step without loads, or omit --band"
+            "--band applies only to the response to a step of the road, with no loads on the vehicle; give --road step and "
+            "no loads, or omit --band"
         )
 
 

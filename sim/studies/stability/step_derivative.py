@@ -54,8 +54,8 @@ def step_derivative(vehicle: Vehicle, timestep: float) -> StateSpace:
     slopes = (up + down) / (2 * sizes[:, None])
     if np.any(np.abs(up - down).max(axis=0) > SMOOTH * np.abs(up + down).max(axis=0)):
         raise InputError(
-            "the equations of the vehicle have no derivative at equilibrium, because a curve has a kink there; use "
-            "sim.linear.nonlinear_elements.at_rest"
+            "the equations of the vehicle have no derivative at equilibrium, because a curve has a kink there; first "
+            "linearise the vehicle with sim.linear.nonlinear_elements.at_rest"
         )
     A, B, C, D = slopes[:n, :n].T, slopes[n:, :n].T, slopes[:n, n:].T, slopes[n:, n:].T
     forces = vehicle.linear_model.inputs

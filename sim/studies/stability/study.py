@@ -113,14 +113,14 @@ def check_loop(vehicle: Vehicle, built: Vehicle, controller: Controller, timeste
     times = loop_of(vehicle, controller).direct_radius
     if times >= 1:
         raise InputError(
-            f"{name} tolerates neither delay nor sampling, because its measurements contain {times:.4g} times its own "
-            "force, which grows from sample to sample; lower the gain on accelerations, or filter them"
+            f"{name} tolerates neither delay nor sampling, because its own force returns in its measurements "
+            f"{times:.4g} times as large and grows at each sample; lower the gain on accelerations, or filter accelerations"
         )
     growth = radius(loop_of(vehicle, controller, timestep, taylor4))
     if growth >= 1:
         raise InputError(
-            f"{name} is not stable at a timestep of {timestep:g} s or with the lag of the actuators (motion grows by a factor of "
-            f"{growth:.6g} every step); give a smaller timestep or a larger actuator_bandwidth"
+            f"{name} is not stable because of the timestep of {timestep:g} s or the lag of the actuators (motion grows by a "
+            f"factor of {growth:.6g} every step); give a smaller timestep or a larger actuator_bandwidth"
         )
     if radius(loop_of(built, controller, timestep, taylor4)) >= 1:
         why = f"its implemented loop is not stable ({', '.join(built.implementation.without_noise.phrases)})"
