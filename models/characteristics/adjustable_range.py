@@ -130,7 +130,7 @@ def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
     for end, side in ((0, "below the first points"), (-1, "beyond the last points")):
         if hard.slopes[end] < soft.slopes[end] - TOUCHING_DISTANCE * abs(soft.slopes[end]):
             raise InputError(
-                f"{side}, c_min and c_max continue beyond their points with slopes of {soft.slopes[end]:g} and "
+                f"{side}, c_min continues with a slope of {soft.slopes[end]:g} N s/m and c_max with a slope of "
                 f"{hard.slopes[end]:g} N s/m, so the two curves cross; change the outermost points so that the curves "
                 "do not cross"
             )
@@ -201,8 +201,8 @@ class ActuatorSection(Section):
         if self.kind == KINDS[0]:
             if given:
                 raise InputError(
-                    f'has {given[0]} without kind = "damper"; add kind = "damper", or, for force actuators, give '
-                    "actuator_force and actuator_bandwidth in [limits]"
+                    f'has {given[0]}, which needs kind = "damper"; give kind = "damper", or, for force actuators, '
+                    f"omit {given[0]} and give actuator_force and actuator_bandwidth in [limits]"
                 )
             return
         if absent := [name for name in CURVE_KEYS if name not in given]:
@@ -279,5 +279,5 @@ def check_unlimited(limited: Sequence[str], what: str) -> None:
     if limited:
         raise InputError(
             f"[limits] {limited[0]} applies only to force actuators, but {what}; omit {limited[0]}, or give actuators "
-            '= "force" in the sections of controllers that use force actuators'
+            '= "force" in the section of each controller that is to use force actuators'
         )

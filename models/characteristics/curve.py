@@ -134,8 +134,8 @@ class ForceCurve:
         low, high = -float(own.force.max()), -float(own.force.min())
         if not low < more < high:
             raise InputError(
-                f"its table covers changes of the static load from {low:.4g} to {high:.4g} N, but the load changes by "
-                f"{more:.4g} N; extend the table"
+                f"the table covers changes of the static load from {low:.4g} to {high:.4g} N, but the static load "
+                f"changes by {more:.4g} N; extend the table to include this change"
             )
         i = int(np.flatnonzero((own.force[:-1] <= -more) & (own.force[1:] >= -more))[0])
         rest = float(np.interp(-more, own.force[i : i + 2], own.x[i : i + 2]))

@@ -181,9 +181,9 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
         each = [f"{columns_in_words([one])} is {roles.get(one.column, 'not read')}" for one in headings]
         missing = [role for role in LOG if not by_role[role]] or [f"only one of {role}" for role in LOG if len(by_role[role]) > 1]
         raise InputError(
-            f"has the columns {list_names(one.name for one in headings)}; give velocity and force, or time, "
-            "displacement and force, of one damper setting, with units. These columns were recognised: "
-            f"{', '.join(each)}; still needed: {list_names(missing)}"
+            f"has the columns {list_names(one.name for one in headings)}, but needs either velocity and force, or "
+            "time, displacement and force, with units and for one damper setting. These columns were recognised: "
+            f"{', '.join(each)}; columns that are still needed: {list_names(missing)}"
         )
     if log:
         known = by_role["deflection"]
@@ -196,8 +196,9 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     undirected = not sheet and not any(one.direction or told & one.words for one in (*known, *forces))
     asked = next((one for one in (*known, *headings) if one not in forces), headings[0])
     question = InputError(
-        f"column {asked.column} is called {short_repr(asked.text)}, which does not state the positive direction; "
-        f"write compression or extension in the heading of the column ({wanted} in Roadproof is positive in extension)"
+        f"column {asked.column} is called {short_repr(asked.text)}, which does not state the positive direction; add "
+        f"compression or extension to the heading, whichever is positive (in Roadproof, {wanted} is positive in "
+        "extension)"
     )
     if undirected and not log and not (over == "compression" and known):
         raise question
@@ -205,7 +206,8 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     if len(known) != 1 or len(forces) != 1 + sheet:
         columns = list_names(one.name for one in headings)
         raise InputError(
-            f"has the columns {columns}, but exactly two columns are needed; give {over or wanted} and force of one setting"
+            f"has the columns {columns}, but exactly two columns are needed; give only {over or wanted} and force, at "
+            "one setting of the component"
         )
     used = [known[0], *sorted(forces, key=lambda one: one.direction)]
     numbers = table.numbers([one.column - 1 for one in used])[0]

@@ -40,14 +40,16 @@ def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, 
     steps = np.diff(time)
     for i in np.flatnonzero((steps <= 0) | (steps > GAP * steps.mean()))[:1]:
         raise InputError(
-            f"time goes from {time[i]:.9g} to {time[i + 1]:.9g} s at row {i + 2}; give a log with a constant sample rate"
+            f"time goes from {time[i]:.9g} to {time[i + 1]:.9g} s at row {i + 2}, but times must rise in steps of "
+            "similar length; give a log with a constant sample rate"
         )
     rate, even = 1 / float(steps.mean()), np.linspace(time[0], time[-1], len(time))
     x, force = (np.interp(even, time, values) for values in (displacement, force))
     tops, bottoms = (find_peaks(side * x, prominence=STROKE * np.ptp(x))[0] for side in (1.0, -1.0))
     if len(ends := max(tops, bottoms, key=len)) < 2:
         raise InputError(
-            "the displacement has fewer than two turning points on one side, so the log contains no full cycle; give a longer log"
+            "the displacement has fewer than two maxima and fewer than two minima, so the log contains no full "
+            "cycle; give a longer log"
         )
     period = float(np.diff(ends).mean())
     if period < SAMPLES:

@@ -223,8 +223,9 @@ class SurfaceTable(Section):
         widths = sorted({len(row) for row in self.force})
         if len(self.force) != len(self.velocity) or widths != [len(self.deflection)]:
             raise InputError(
-                f"{HERE}.force has {len(self.force)} lists, of {list_names(map(str, widths))} numbers; give {len(self.velocity)} "
-                f"lists, one for each velocity, of {len(self.deflection)} numbers, one for each deflection"
+                f"{HERE}.force has {len(self.force)} lists with {list_names(map(str, widths))} numbers; give "
+                f"{len(self.velocity)} lists (one for each velocity), each with {len(self.deflection)} numbers (one "
+                "for each deflection)"
             )
 
 
@@ -283,7 +284,10 @@ def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: C
     """Returns one characteristic whose force is the sum of the forces from all slopes and tables."""
     count = len(tables) + len(slopes)
     if not tables:
-        raise InputError(f"has {count} numbers but no table, so it is not a curve; move the sum of the numbers to [parameters]")
+        raise InputError(
+            f"has {count} numbers but no table, so they add up to a constant, not to a curve; give the sum of the "
+            "numbers in [parameters] instead"
+        )
     parts: list[tuple[Array, Array, float]] = []
     for one in tables:
         preload = one.preload
@@ -291,7 +295,8 @@ def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: C
             whole = load()
             if whole is None or sum(each.preload is True for each in tables) > 1:
                 raise InputError(
-                    "the static load of this spring is unknown; give preload in N, or give preload = true in only one table"
+                    "preload = true needs a static load that is known and that only one table carries; give preload "
+                    "in N instead, or give preload = true in only one table"
                 )
             preload = whole + sum(at_rest for _, _, at_rest in parts)
         x, force = one.points
@@ -422,9 +427,9 @@ def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Ar
                 break
         else:
             raise InputError(
-                f"needs {len(ends) - 1} straight lines to keep the error within {100 * error:g} % of its largest "
-                f"force, but at most {MOST_LINES + AT_REST} lines are allowed; smooth the table, or give a larger "
-                f"fit_error, up to {LARGEST_ERROR:g}"
+                f"needs {len(ends) - 1} straight lines to approximate its table within {100 * error:g} % of its "
+                f"largest force, but at most {MOST_LINES + AT_REST} lines are allowed; smooth the table, or give a "
+                f"larger fit_error, up to {LARGEST_ERROR:g}"
             )
         words += f" replaced by {len(ends) - 1} straight lines, with errors within {100 * error:g} % of {largest:.4g} N"
         return ends, forces, words
@@ -438,18 +443,18 @@ def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
             if x * force < 0:
                 raise InputError(
                     f"its force at {x:g} m/s is {force:g} N, which would supply energy, but a damper must dissipate "
-                    "energy; give each force the sign of its velocity, both positive in extension"
+                    "energy; give each force the same sign as its velocity (both are positive in extension)"
                 )
     elif min(float(curve(np.array([s * 1e-12]))[0]) * s for s in (-1, 1)) <= 0 or curve.slope <= 0:
         raise InputError(
             "its slope at rest is not above 0, so the spring cannot carry the body; give forces that rise with "
-            "deflection, both positive in extension, or add this table to a linear spring, as in [22e3, { ... }]"
+            "deflection (both are positive in extension), or add a linear stiffness, as in [22e3, { ... }]"
         )
     for end, side in ((0, "below its first point"), (-1, "beyond its last point")):
         if curve.slopes[end] < 0:
             raise InputError(
-                f"its force continues to fall {side}, by {-curve.slopes[end]:g} N per {over.unit}, with the slope of "
-                "the outermost segment; make the slope of this segment zero or positive"
+                f"its force continues to fall {side}, by {-curve.slopes[end]:g} N per {over.unit}, because the curve "
+                "is extended with the slope of its outermost segment; make the slope of this segment zero or positive"
             )
     return curve
 

@@ -72,7 +72,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
         if not (directions[name] or name in of[name][0].words):
             raise InputError(
                 f"{short_repr(of[name][0].text)} does not state the positive direction; write {name} in this heading "
-                "(positive in extension), or compression"
+                "if extension is positive, or compression if compression is positive"
             )
     along = -1 if min(directions["velocity"], directions["force"]) < 0 else 1
     v, d, force = along * scale["velocity"] * v, scale["deflection"] * d, along * scale["force"] * force

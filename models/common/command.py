@@ -279,7 +279,8 @@ def chosen_of(
     for key, names in vehicles.items():
         if not selected[key]:
             raise InputError(
-                f"--vehicle {key} does not have any of the controllers {list_names(every)}; it has {list_names(names)}"
+                f"--vehicle {key}: this vehicle has none of the controllers {list_names(every)}; add --controller "
+                f"with one of {list_names(names)}"
             )
     return selected
 

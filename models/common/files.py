@@ -270,8 +270,8 @@ def read_text(path: Path, purpose: str, give: str = "give another file") -> str:
         text = content.decode("utf-8-sig")
         if "\0" in text:
             raise InputError(
-                "this is not a text file in UTF-8, because it contains a NUL character, as in UTF-16; save the file as "
-                f"UTF-8, or {give}"
+                "this is not a text file in UTF-8, because it contains a NUL character (the file may be in UTF-16); "
+                f"save the file as UTF-8, or {give}"
             )
     return text.replace("\r\n", "\n")
 

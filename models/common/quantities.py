@@ -124,8 +124,8 @@ class Heading:
         allowed, instead = f"allowed: {list_names(units)}", f", or give :{option}={si}" if option else ""
         if given and size not in (None, units[given]):
             raise InputError(
-                f"{column} has a heading with the unit {self.unit}, but {option} = {given} gives a different unit; omit "
-                "the wrong one"
+                f"{column} has a heading with the unit {self.unit}, but {option} = {given} gives a different unit; "
+                f"make the two units agree, or omit {option}"
             )
         if not given and self.unit and size is None:
             raise InputError(
@@ -133,7 +133,9 @@ class Heading:
             )
         if not (given or self.unit or default):
             name = f"{self.name}_{re.sub('[ /]', '_', si)}"  # a heading in this form can also be the name of a MATLAB variable
-            raise InputError(f"{column} has no unit ({allowed}); write the heading {self.name} [{si}] or {name}{instead}")
+            raise InputError(
+                f"the heading of {column} has no unit ({allowed}); change the heading to {self.name} [{si}] or to {name}{instead}"
+            )
         return units[given or default] if given or size is None else size
 
 

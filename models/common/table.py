@@ -92,7 +92,8 @@ class NumberTable:
             return [Heading(column=i) for i in range(1, self.count + 1)]
         if not rows:
             raise InputError(
-                f"no line above line {self.first + 1} has one heading for each of the {self.count} column(s); {self.give}"
+                f"the numbers begin at line {self.first + 1}, but no line above them has one heading for each of the "
+                f"{self.count} column(s); {self.give}"
             )
         headings = rows[-1]
         if len(rows) > 1 and any(one.text and not one.name for one in headings) and all(map(_maybe_unit, headings)):
@@ -109,7 +110,7 @@ class NumberTable:
         for heading in headings:
             if DIGITS.fullmatch(heading.text):
                 found = f"the heading of column {heading.column} is {short_repr(heading.text)}, not a name"
-                raise InputError(f"{found}; put # before each line above the numbers that is not a heading, or {self.give}")
+                raise InputError(f"{found}; above the numbers, put # before each line that contains no headings, or {self.give}")
             if not (optional or alike) and same.count(heading.quantity or heading.name) > 1:
                 raise InputError(
                     f"two columns are called {short_repr(heading.quantity or heading.name)}; remove or rename one of "
@@ -361,8 +362,8 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
     """
     if "\0" in text:
         raise InputError(
-            "this is not a text file in UTF-8, because it contains a NUL character, as in UTF-16; save the file as "
-            f"UTF-8, or {give}"
+            "this is not a text file in UTF-8, because it contains a NUL character (the file may be in UTF-16); save "
+            f"the file as UTF-8, or {give}"
         )
     lines = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
     for first, line in enumerate(lines):

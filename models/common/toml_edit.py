@@ -53,7 +53,10 @@ def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
     except Exception as error:  # the resulting text shows that tomlkit has read or written the file incorrectly
         cause = error
     names = list_names(".".join(replacement.path) for replacement in replacements)
-    raise InputError(f"{names} cannot be replaced in the file; write each key on its own line below its [section]") from cause
+    raise InputError(
+        f"Roadproof cannot replace {names} in the file as these keys are written now; write each key on its own line "
+        "below its [section]"
+    ) from cause
 
 
 def _replace_texts(text: str, replacements: Sequence[Replacement]) -> str:

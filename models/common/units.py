@@ -110,7 +110,9 @@ def in_unit(value: Any, unit: str, what: str) -> Any:
     number = quantity(value, unit, what)
     if match and not match[2]:
         add = "" if unit in ("", "-", "1") else f"add the unit, as in {_example(unit)}, or "
-        raise InputError(f"{what} = {short_repr(value)} has no unit; {add}omit the quotes")
+        raise InputError(
+            f"{what} = {short_repr(value)} has no unit, but only a number with a unit may be in quotes; {add}omit the quotes"
+        )
     return number
 
 

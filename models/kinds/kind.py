@@ -463,14 +463,15 @@ class VehicleKind(CheckedFields):
                 continue
             if part.deflection not in loads:
                 raise InputError(
-                    f"{part.ratio} changes with travel, so the static load of the suspension is needed, but static_loads "
-                    f"returns no {part.deflection}; add this load to static_loads"
+                    f"{part.ratio} changes with travel, so the static load of the suspension is needed, but "
+                    f"static_loads returns no load for {part.deflection}; add this load to the result of static_loads"
                 )
             rate = -self.ratios[part.ratio].relative_slope * loads[part.deflection]
             if not np.isclose(rates.setdefault(part.stiffness, rate), rate, rtol=1e-9, atol=0):
                 raise InputError(
-                    f"suspensions with the same parameter {part.stiffness} carry different static loads, so a {part.ratio} "
-                    "that changes with travel gives them different wheel rates; give each suspension its own parameter"
+                    f"the suspensions that share the parameter {part.stiffness} carry different static loads, so "
+                    f"their wheel rates would differ, because {part.ratio} changes with travel; give each suspension "
+                    "its own parameter"
                 )
         return rates
 
@@ -612,7 +613,8 @@ class VehicleKind(CheckedFields):
             if at_wheels.get(part.stiffness, 0.0) < 0:
                 raise InputError(
                     f"{part.ratio} changes so fast with travel that the preload of the spring makes the wheel rate "
-                    f"{at_wheels[part.stiffness]:.4g} N/m; give a stiffer spring, or a ratio that changes less with travel"
+                    f"negative ({at_wheels[part.stiffness]:.4g} N/m); give a stiffer spring, or a ratio that changes "
+                    "less with travel"
                 )
         self.check_together(at_wheels)
         for tyre, squeeze in self.static_tyre_deflection(checked).items():

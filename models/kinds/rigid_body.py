@@ -395,9 +395,9 @@ def check_stands(body: RigidBody) -> None:
         holding, turning = 1 / freed[i, i], body.weight[i, i]
         if holding <= turning:
             raise InputError(
-                f"the body falls over when it {turns}: its weight has a moment of {turning:.4g} N m/rad, but springs, "
-                f"bars and tyres hold only {holding:.4g} N m/rad; give stiffer springs, bars or tyres, or higher "
-                f"{centres}"
+                f"the body falls over when it {turns}: its weight turns it further with {turning:.4g} N m/rad, but "
+                f"springs, anti-roll bars and tyres resist with only {holding:.4g} N m/rad; stiffen them, or raise "
+                f"the {centres}"
             )
 
 

@@ -112,7 +112,10 @@ def check_parts(kind: VehicleKind) -> None:
     for part in kind.suspensions:
         for name in filter(None, (part.stiffness, part.damping)):
             if ratios.setdefault(name, part.ratio) != part.ratio:
-                raise InputError(f"suspensions with different motion ratios share {name}; give each suspension its own parameter")
+                raise InputError(
+                    f"suspensions with different motion ratios cannot share the parameter {name}; give each "
+                    "suspension its own parameter"
+                )
 
 
 def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
@@ -139,9 +142,8 @@ def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
         for angle, parts in check("angles(parameters)", angles, Mapping[str, Mapping[str, float]]).items():
             if angle not in ("pitch_angle", "roll_angle") or not signals.issuperset(parts):
                 raise InputError(
-                    f"angles returns {angle!r} as a sum of {list_names(parts)}, which is not allowed; return "
-                    "{'pitch_angle': {signal: factor}}, or the same with 'roll_angle', and use signals of the "
-                    "vehicle type"
+                    f"angles returns {angle!r} as a sum of {list_names(parts)}, which is not allowed; return only "
+                    "'pitch_angle' and 'roll_angle', each as {signal: factor} with signals of the vehicle type"
                 )
 
 

@@ -50,8 +50,8 @@ def anti_windup_gain(law: LinearLaw) -> Array:
     except (np.linalg.LinAlgError, ValueError):
         pass
     raise InputError(
-        f"anti_windup = {law.anti_windup:g} 1/s cannot be reached, because a state of this law is slower and has "
-        "almost no effect on the forces; remove this state from the law, or give a smaller anti_windup"
+        f"anti_windup = {law.anti_windup:g} 1/s cannot be achieved, because a state of this law decays more slowly "
+        "and has almost no effect on the forces; remove this state from the law, or give a smaller anti_windup"
     )
 
 

@@ -230,9 +230,9 @@ def _structure(value: Any, context: Mapping[str, Any]) -> str | tuple[tuple[bool
     fits = isinstance(value, list | tuple) and len(value) == len(corners) and all(isinstance(row, list | tuple) for row in value)
     if not fits or not all(len(row) == len(measured) and all(entry in (0, 1) for entry in row) for row in value):
         raise InputError(
-            f'{HERE} = {short_repr(value)} is not allowed; give "{CORNER}", "{PI}", "{PID}", or a list of {len(corners)} '
-            "row(s), one "
-            f"for each force, with {len(measured)} number(s) 0 or 1, one for each measured signal"
+            f'{HERE} = {short_repr(value)} is not allowed; give "{CORNER}", "{PI}", "{PID}", or a list of '
+            f"{len(corners)} row(s) (one for each force), each with {len(measured)} number(s) (one for each measured "
+            "signal), where every number is 0 or 1"
         )
     if not any(any(row) for row in value):
         raise InputError(
@@ -256,9 +256,9 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
     for signal, used in zip(measured, zip(*rows, strict=True), strict=True):
         if not any(used):
             raise InputError(
-                f"{what}, but the signal {signal!r} does not belong to a corner; measure only signals whose names end "
-                f"like those of the forces {list_names(corners)}, or give structure as a list of rows of 0 and 1, one row "
-                "for each force"
+                f"{what}, but the signal {signal!r} belongs to no corner; measure only signals whose names have the "
+                f"same ending as one of the forces {list_names(corners)}, or give structure as a list with a row of 0 "
+                "and 1 for each force"
             )
     for force, row in zip(corners, rows, strict=True):
         if not any(row):
@@ -298,7 +298,7 @@ class Goals(Section):
     def __post_init__(self) -> None:
         if self.over == REGRET and not self.family:
             raise InputError(
-                'minimise has over = "regret", but goals has no family of vehicles, over which the regret is computed; '
+                'minimise has over = "regret", which is computed over a family of vehicles, but no family is given; '
                 "add family = [{ ... }, ...], or omit over"
             )
 

@@ -115,8 +115,8 @@ class StructureSection(Goals):
         rows = _one_each(what, measured, corners)
         if given := [name for name in GAINS if getattr(pid, name)]:
             raise InputError(
-                f"{what} asks for a design of the gains, but pid already gives {given[0]}; omit structure to use the "
-                "given gains, or give only filter in pid"
+                f"{what} means that Roadproof designs the gains, but pid already gives {given[0]}; omit structure to "
+                "use the given gains, or omit the gains in pid so that Roadproof designs them"
             )
         if self.structure == PI and pid.filter is not None:
             raise InputError(f"{what} has no derivative, but the key pid sets the filter of the derivative; omit pid")

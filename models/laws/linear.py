@@ -72,8 +72,8 @@ class LinearLaw(LawSource):
             given = getattr(self, name).shape
             if given != shape:
                 raise InputError(
-                    f"{name} has shape {given}; expected {shape}, as A has {k} row(s) and D has shape {(m, q)}: one row for "
-                    "each force and one column for each measured signal"
+                    f"{name} has shape {given}; expected {shape}, because A has {k} row(s) and D has shape {(m, q)} "
+                    "(D has one row for each force and one column for each measured signal)"
                 )
         object.__setattr__(self, "sample_period", check("sample_period", self.sample_period, PositiveTime | None))
         object.__setattr__(self, "anti_windup", check("anti_windup", self.anti_windup, Positive | None))
@@ -228,8 +228,8 @@ class LinearLaw(LawSource):
             )
         except InputError as error:
             raise InputError(
-                f"in its continuous counterpart (Tustin), {error}; scale the states of the controller so that B and C "
-                "have entries of similar size"
+                f"in the continuous counterpart (Tustin) of this controller, {error}; scale the states of the "
+                "controller so that B and C have entries of similar size"
             ) from error
 
     @property
@@ -261,8 +261,9 @@ class LinearLaw(LawSource):
         law = self.continuous()
         if law.growth * period > np.log(LARGEST):
             raise InputError(
-                f"an unstable pole of its law, at +{law.growth:.4g} 1/s, is too fast for a sample period of {period:g} s; give "
-                "a shorter sample period, or measure control_force together with accelerations"
+                f"the law has an unstable pole at +{law.growth:.4g} 1/s, which is too fast for a sample period of "
+                f"{period:g} s; give a shorter sample period, or, if the law measures accelerations, also measure "
+                "control_force"
             )
         k, q = law.B.shape
         augmented = np.zeros((k + 2 * q, k + 2 * q))

@@ -102,8 +102,8 @@ class PythonLaw(LawSource):
         place = os.path.relpath(os.path.realpath(self.path), os.path.realpath(folder))
         if place.startswith(os.pardir):
             raise InputError(
-                f"the file of the law {self.law} would be outside the folder {folder} of the vehicle file; move the file "
-                "into this folder"
+                f"the file of the law {self.law} is outside the folder {folder}, in which the vehicle file is saved; "
+                "move the file of the law into this folder"
             )
         return {"fmu": Path(place).as_posix()} if self.is_fmu else {"law": f"{Path(place).as_posix()}:{self.function}"}
 
@@ -285,8 +285,8 @@ class ProgramSection(Section):
     def __post_init__(self) -> None:
         if self.fmu is not None and (others := [key for key in ("law", "preview") if getattr(self, key) is not None]):
             raise InputError(
-                f"has both fmu and {list_names(others)}, but an FMU is already a complete law, without preview; omit "
-                f"fmu or {list_names(others)}"
+                f"has both fmu and {list_names(others)}, but an FMU is already a complete law and cannot use preview; "
+                f"omit fmu or {list_names(others)}"
             )
         if self.fmu is None and (named := [key for key in ("inputs", "outputs") if getattr(self, key) is not None]):
             raise InputError(

@@ -140,20 +140,22 @@ class OwnLaw:
         if not isinstance(given, tuple) or len(given) != 2:
             raise InputError(f"the law returns {_short(given)}, not two values; end its function with: return force, state")
         force, self._state = given
-        check_unmasked("its force", force)
+        check_unmasked("the returned force", force)
         forces = np.asarray(force)
         if forces.dtype.kind not in "bifu" and forces.dtype.kind != "O":
-            raise InputError(f"its force is {_short(force)}, which is not a real number; return the force in N")
+            raise InputError(f"the returned force is {_short(force)}, which is not a real number; return a real number in N")
         try:
             forces = np.array(forces, dtype=float)
         except (TypeError, ValueError):
-            raise InputError(f"its force is {_short(force)}, which is not a real number; return the force in N") from None
+            raise InputError(
+                f"the returned force is {_short(force)}, which is not a real number; return a real number in N"
+            ) from None
         # For a single actuator, a law may return a number instead of an array
         scalar = shape[-1] == 1 and forces.shape == shape[:-1]
         if forces.shape != shape and not scalar:
             raise InputError(f"the returned force has shape {forces.shape}; expected {shape}, one number for each actuator")
         if not np.all(np.isfinite(forces)):
-            raise InputError("the returned force is not finite")
+            raise InputError("the returned force is not finite; return finite numbers")
         return forces.reshape(shape)
 
     def _run(self, name: str, code: Callable[[], Any], time: float | None = None) -> Any:

@@ -100,8 +100,8 @@ class Adjustable(SettablePart):
         damper, beside = dampers[place.force], vehicle.curves.get(name)
         if not name:
             raise InputError(
-                f"[actuators] the vehicle type defines no damper at {place.force}; give `damping` in the Suspension of "
-                f"{place.force} in the vehicle type"
+                f"[actuators] the vehicle type defines no damper at {place.force}; in the vehicle type, give "
+                f"`damping` in the Suspension whose force is {place.force}"
             )
         if isinstance(beside, ForceSurface):
             raise InputError(
@@ -111,8 +111,9 @@ class Adjustable(SettablePart):
         nominal = vehicle.parameters[name]
         if not damper.c_min <= nominal <= damper.c_max:
             raise InputError(
-                f"{name} = {nominal:g} N s/m, the damping coefficient without a command, is not between c_min = "
-                f"{damper.c_min:g} and c_max = {damper.c_max:g} N s/m of [actuators]; change {name}, c_min or c_max"
+                f"{name} = {nominal:g} N s/m, which applies while the controller gives no command, is not between "
+                f"c_min = {damper.c_min:g} and c_max = {damper.c_max:g} N s/m of [actuators]; change {name}, c_min or "
+                "c_max"
             )
         one = cls(place.force, place.ending, damper, nominal, 1.0, _nominal_curve(damper, nominal, beside))
         _check_takes(name, one)
@@ -142,11 +143,12 @@ class Adjustable(SettablePart):
         turning = {place.force for place in vehicle.kind.suspensions if vehicle.kind.table_of(place) is not None}
         for one in vehicle.parts.adjustable:
             if one.force in measured and (one.force in turning or one.damper.pair is not None or not one.damper.replaces):
-                what = "at a motion ratio over travel" if one.force in turning else "with curves c_min and c_max"
+                what = "whose motion ratio changes with travel" if one.force in turning else "with curves c_min and c_max"
                 what = what if one.damper.replaces else "of [parts]"
                 raise InputError(
                     f"[controllers.{name}] measures {one.force}, but no sensor measures the force of a damper {what}; "
-                    "measure suspension_velocity instead, or give numbers instead of curves"
+                    "measure suspension_velocity instead, or give numbers instead of curves for the damper and the "
+                    "motion ratio"
                 )
 
     @property
@@ -193,6 +195,6 @@ def _check_takes(parameter: str, one: Adjustable) -> None:
     if where:
         raise InputError(
             f"[curves] {parameter} is parallel to a semi-active damper, and at c_min both together supply energy "
-            f"{where[0]}. Give only a line and friction in [curves]; give the measured limits as curves c_min and "
+            f"{where[0]}. Give only linear damping and friction here; give the damper's measured limits as c_min and "
             "c_max"
         )

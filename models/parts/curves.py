@@ -60,14 +60,14 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> dict[str, RatioTab
     ratio_table = FEATURES.load("motion ratios over travel").ratio_table
     if kind.static_loads is nothing:
         raise InputError(
-            f"[curves] {min(names)}: a motion ratio as a curve needs the static loads, but this vehicle type has no "
-            "static_loads; add static_loads to the vehicle type"
+            f"[curves] {min(names)}: a motion ratio that is a curve needs the static loads, but this vehicle type has "
+            "no function static_loads; add this function to the vehicle type"
         )
     for part in kind.suspensions:
         if part.ratio in names and not part.damping:
             raise InputError(
-                f"[curves] {part.ratio}: {part.deflection} has no damping parameter, which a motion ratio as a curve "
-                f"needs; give `damping` in the Suspension of {part.deflection} in the vehicle type"
+                f"[curves] {part.ratio}: a motion ratio that is a curve needs a damping parameter, but the suspension "
+                f"of {part.deflection} has none; in the vehicle type, give `damping` in this Suspension"
             )
     ratios = {}
     for parameter in kind.parameters:

@@ -63,7 +63,10 @@ def roughness(road_class: str) -> float:
     """
     known = [*CLASSES, *(f"{a}/{b}" for a, b in itertools.pairwise(CLASSES))]
     if road_class not in known:
-        raise InputError(f"unknown road class {road_class!r}; give {', '.join(CLASSES)}, or a limit such as A/B (ISO 8608)")
+        raise InputError(
+            f"unknown road class {road_class!r}; give {', '.join(CLASSES)}, or the boundary of two classes, such as "
+            "A/B (ISO 8608)"
+        )
     return 16e-6 * 4.0 ** CLASSES.index(road_class[0]) * (2.0 if "/" in road_class else 1.0)
 
 
@@ -99,7 +102,7 @@ class Iso8608(Section, Road):
     # Names of the numbers that the text of a road contains
     settings: ClassVar[tuple[str, ...]] = ("class", "iri", "gd", "waviness", "band")
     road_class: Annotated[
-        str, Text("`class` in a text: `A` to `H`, or a limit such as `A/B`; empty if `iri` or `gd` is given")
+        str, Text("`class` in a text: `A` to `H`, or the boundary of two classes, such as `A/B`; empty if `iri` or `gd` is given")
     ] = "C"
     seed: Annotated[int, Integer("seed of the phases", high=MOST_SEED)] = 0
     speed: Annotated[float, SI("m/s", "speed of the vehicle", 0.1, 200.0)] = 20.0

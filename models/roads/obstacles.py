@@ -213,7 +213,7 @@ def _check_half(road: WattsHump | Pothole, other: str, low: float, least: str) -
     usual, value = getattr(type(road), other), getattr(road, other)
     if value == usual and road.length < 2 * usual:
         short = f"{road.kind} length = {road.length:g} m is less than {least} {usual:g} m"
-        raise InputError(f"{short}; give a length of at least {2 * usual:g} m, or {other}={road.length / 2:g} or less")
+        raise InputError(f"{short}; give a length of at least {2 * usual:g} m, or set {other} to at most {road.length / 2:g} m")
     SI("m", low=low, high=road.length / 2).number(f"{road.kind} {other}", value)
 
 

@@ -197,7 +197,7 @@ def test_size_of_a_road():
     assert description["iri"] == 2.5
     assert "class" not in description
     assert described_road(description) == road.scaled(0.5)
-    with pytest.raises(InputError, match="the log contains no class of this road"):
+    with pytest.raises(InputError, match="the log contains no value of class for this road"):
         described_road({key: value for key, value in description.items() if key != "iri"})
 
 

@@ -128,7 +128,10 @@ def test_a_law_that_does_not_follow_the_road(tmp_path):
 def test_a_law_that_fails_ends_the_sweep(tmp_path):
     """A law that fails is one line."""
     path = vehicle_of(tmp_path, "def step(sample, state):\n    return float('nan'), state\n")
-    with pytest.raises(InputError, match=r"^controller 'mine', law mine.py:step: .*the returned force is not finite\) at 0 s"):
+    with pytest.raises(
+        InputError,
+        match=r"^controller 'mine', law mine.py:step: .*the returned force is not finite; return finite numbers\) at 0 s",
+    ):
         main(["--vehicle", str(path), "--controller", "mine"])
 
 

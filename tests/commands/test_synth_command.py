@@ -349,7 +349,7 @@ def test_a_saved_file_finds_its_laws(capsys, tmp_path, monkeypatch):
         python = read_vehicle(place).controllers["sky"].source
         assert isinstance(python, PythonLaw)
         assert (python.file, python.source()) == (named, Path("cars/laws/sky.py").read_text())
-    with refused("--save other/saved.toml: ", "law laws/sky.py:step would be outside the folder other of"):
+    with refused("--save other/saved.toml: ", "law laws/sky.py:step is outside the folder other, in which"):
         main(["--vehicle", "cars/car.toml", "--controller", "I", "--save", "other/saved.toml"])
 
 

@@ -21,7 +21,7 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/((_build|reference)/.*|(gallery|exa
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3570   2326      0
+what all commands share: files, options, checks, tables of numbers   3579   2326      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
@@ -36,25 +36,25 @@ laws and families in files                                      299    351    11
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     171    202      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
-laws in Python                                                  830    706    107
+laws in Python                                                  832    706    107
     models/laws/{python_law,python_runtime,user_code}.py sim/drive/drivers/python.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
-custom vehicle types                                            222    415    130
+custom vehicle types                                            224    415    130
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1431    743    208
+semi-active dampers and laws                                   1433    743    208
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
     sim/drive/drivers/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3728   1972    189
+curves of dampers and springs, statistical linearisation       3737   1972    189
     models/characteristics/{__init__,curve*,measured_loop,ratio_table,surface*}.py
     models/parts/{characteristic,curves,damper,lines,plausibility,ratio,spring,surface_damper}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,outputs,stepped}.py tests/sim/test_stepped.py
     sim/runs/force_diagram.py synth/controller/equivalent_line.py
     tests/support/curved.py tests/*/test_{curves*,motion_ratios,spring_tables,surfaces}.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/{springs-and-dampers,force-elements}.md
-bump stops                                                      661    167      0
+bump stops                                                      662    167      0
     models/parts/stops/* sim/runs/stops.py tests/models/test_stops.py
 parts of a suspension                                          2306   1962      0
     models/parts/{__init__,actuator,element,native,part,placement}.py models/vehicle/suspension_forces.py
@@ -66,7 +66,7 @@ loads, links, tyre damping                                      822   1440     5
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
 measured roads, rigs, OpenCRG, IRI                             1501    988      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
-analytic and random roads                                      1794    940    171
+analytic and random roads                                      1797    940    171
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py
     tests/models/test_{roads,second_sources}.py docs/how-to/{custom-roads,roads}.md
 preview, LQR, LQG, H2                                           591    625     52
@@ -147,13 +147,13 @@ margins in physics                                             2217    823     7
 recommendation of a controller                                 1699    400    217
     sim/studies/recommend/* tests/sim/test_recommend.py
     docs/how-to/{recommend,sensors-and-controllers}.md docs/tutorials/best-controller.md
-frequency, sweep                                               2211    614     38
+frequency, sweep                                               2211    617     38
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             3455   1287      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{kinds/*,loads,over_roads,run_metrics,score*,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
-measured logs beside runs                                       745    319    108
+measured logs beside runs                                       748    319    108
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
 identification from measured logs                              4489    732    277
     sim/identify.py sim/studies/identification/{*,estimation/*,spectra/*} tests/*/test_identify*.py docs/how-to/identify.md
@@ -161,7 +161,7 @@ identification from measured logs                              4489    732    27
 map of validity                                                1361    371     35
     sim/envelope.py sim/studies/validity/{__init__,command,edges,grid,map_runs,re*,study}.py tests/sim/test_envelope.py
     docs/how-to/envelope.md
-MuJoCo loop                                                    3057   1101      0
+MuJoCo loop                                                    3057   1103      0
     sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*

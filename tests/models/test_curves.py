@@ -315,7 +315,7 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
             "separator; write"),
         ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "'speed [m/s]', which does not state the positive direction;"),
         ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "line 3, column 2: 'x' is not a finite number; give a .csv file"),
-        ("a.csv", "deflection [m], force [N]\n-1, -10\n1, 10\n", "has the columns deflection, force; give velocity and force"),
+        ("a.csv", "deflection [m], force [N]\n-1, -10\n1, 10\n", "columns deflection, force, but needs either velocity and"),
         ("a.dpr", DPR.replace("FORCE = 'newton'", ""), "[UNITS] has no FORCE; give one of"),
         ("a.dpr", DPR.replace("[CURVE]", "[CURVES]"), "has no block [CURVE]"),
         ("a.dpr", DPR.replace("{ vel   force}", "{ disp force}"), "has a table of disp, force in [CURVE]"),

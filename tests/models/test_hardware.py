@@ -254,5 +254,7 @@ def test_a_law_too_fast_for_its_period():
     assert growth[0] == pytest.approx(growth[1], rel=1e-12)
     assert any("Tustin" in line for line in judged_lines(controller))
     faster = built(law.replace("5e13", "1e15"), section=section, with_what="[implementation]\nsample_period = 0.01\n")
-    with pytest.raises(InputError, match=r"\[controllers.one\] in its continuous counterpart \(Tustin\), B has an entry"):
+    with pytest.raises(
+        InputError, match=r"\[controllers.one\] in the continuous counterpart \(Tustin\) of this controller, B has an entry"
+    ):
         Designer(faster).design("one")

@@ -44,7 +44,7 @@ def test_what_would_feed_energy_in():
     with refused("at c_min both together supply energy at -1.5 m/s"):
         parse_vehicle(with_tables(QUARTER, suspension_damping=DIGRESSIVE) + DAMPER)
     falling = "{ velocity = [-1.0, -0.5, 0.0, 0.5, 1.0], force = [-2000, -1000, 0, 500, 600] }"
-    with pytest.raises(InputError, match=r"at 0\.5 m/s\. Give only a line and friction"):
+    with pytest.raises(InputError, match=r"at 0\.5 m/s\. Give only linear damping and friction"):
         parse_vehicle(with_tables(QUARTER, suspension_damping=falling) + DAMPER)
     late = "{ velocity = [-1.0, -0.5, 0.0, 0.5, 1.0], force = [-1000, -500, 0, 500, 700] }"
     with pytest.raises(InputError, match="beyond 1 m/s, where its end is extended"):
@@ -151,7 +151,7 @@ def test_the_nominal_setting_is_where_the_parameter_says():
         (
             "1400, 2300, 3600",
             "1400, 2300, 2310",
-            r"last points, c_min and c_max continue beyond their points with slopes of 422.222 and 10 N s/m",
+            r"last points, c_min continues with a slope of 422.222 N s/m and c_max with a slope of 10 N s/m",
         ),
     ],
 )

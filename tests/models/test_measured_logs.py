@@ -112,7 +112,7 @@ def test_columns_with_other_names_and_a_sample_rate(tmp_path):
 
 HEAD = "time [s];sprung_acceleration [m/s2]\n"
 WRONG = [  # the text of a file, settings, words of the message
-    ("t [s];sprung_acc [m/s2]\n0;1\n1;2\n2;3\n", {}, ("'sprung_acc [m/s2]'", "nearest signals are sprung_acceleration")),
+    ("t [s];sprung_acc [m/s2]\n0;1\n1;2\n2;3\n", {}, ("'sprung_acc [m/s2]'", "names of signals are sprung_acceleration")),
     ("t [s];sprung_acceleration [mm]\n0;1\n1;2\n2;3\n", {}, ("column 2 (", "the signal sprung_acceleration needs m/s2",)),
     ("t [m];sprung_acceleration [m/s2]\n0;1\n1;2\n2;3\n", {}, ("no column is called time", "'t [m]'", "sample rate")),
     (HEAD + "0;1\n2;2\n1;3\n", {}, ("time falls from 2 to 1 s at line 4",)),

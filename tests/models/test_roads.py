@@ -551,7 +551,7 @@ def test_bad_profiles(tmp_path, text, said):
         ("", "unknown road ''; give one of iso8608, bump"),
         (
             "pothole:length=0.3",
-            "length = 0.3 m is less than its two edges of 0.2 m; give a length of at least 0.4 m, or edge=0.15 or less",
+            "length = 0.3 m is less than its two edges of 0.2 m; give a length of at least 0.4 m, or set edge to at most 0.15 m",
         ),
         (
             "watts_hump:length=0.1",
@@ -648,7 +648,7 @@ def test_description_is_enough(road):
     ("description", "message"),
     [
         ({}, "has no type; give one of bump, chirp"),
-        ({"type": "bump", "height": 0.1}, "road bump: the log contains no length"),
+        ({"type": "bump", "height": 0.1}, "road bump: the log contains no value of length"),
         ({**Bump().describe(), "factor": "a"}, "road bump: factor = 'a' is not allowed; give a number"),
         ({**Iso8608().describe(), "roughness": "1"}, "roughness = '1' is not allowed; give a number"),
         ({**Iso8608().describe(), "roughness": 1e-3}, "roughness was logged as 0.001, but is now computed as 0.000256"),

@@ -195,8 +195,8 @@ def test_a_campaign_samples_the_numbers_of_the_damper():
             f'[parts.b]\nkind = "dahl"\n{KINDS["dahl"]}\n{OF_FILE}',
             "both control control_force, but only one element can; omit",
         ),
-        ("largest_voltage = 2.0\nvoltage = 3.0", "", "voltage = 3 V, which acts without a command, is above"),
-        ("bandwidth = 9.0", "", "bandwidth has no effect, because the voltage does not change"),
+        ("largest_voltage = 2.0\nvoltage = 3.0", "", "voltage = 3 V, which applies while the controller gives no com"),
+        ("bandwidth = 9.0", "", "bandwidth has no effect, because the voltage is constant"),
         (
             OF_FILE,
             '[controllers.f]\nmeasured = ["control_force"]\ngain = [[0.1]]',

@@ -103,7 +103,7 @@ def test_a_heading_decides_the_sign(tmp_path, heading, sign):
 @pytest.mark.parametrize("more", [OF_FILE, '[limits]\nstop = "a.csv"'])
 def test_a_heading_without_a_direction_is_asked_about(tmp_path, heading, more):
     """A spring's or a stop's table that does not tell which direction is positive is refused with that question."""
-    with refused("column 1 is called", "does not state the positive direction; write compression or extension in the"):
+    with refused("column 1 is called", "does not state the positive direction; add compression or extension to the"):
         read_with(tmp_path, more, a=f"{heading}\n-50,-900\n0,0\n50,1500\n")
 
 
@@ -136,11 +136,11 @@ GRID = "velocity [m/s] / deflection [m] / force [N],-0.05,0.03\n-1,-3000,-2000\n
     [
         (
             '[limits]\nstop = { rebound = "c.csv" }',
-            "rebound: every force of its table in extension is 0, and only compression has forces",
+            "rebound: its table has forces only in compression, and every force in extension is 0",
         ),
         (
             '[limits]\nstop = { bump = "e.csv" }',
-            "bump: every force of its table in compression is 0, and only extension has forces",
+            "bump: its table has forces only in extension, and every force in compression is 0",
         ),
         (
             '[limits]\nstop = { bump = "c.csv", rebound = "c.csv" }',
@@ -344,8 +344,8 @@ def test_a_log_in_matlab_and_a_velocity_of_the_other_sign(tmp_path):
 @pytest.mark.parametrize(
     ("above", "columns", "said"),
     [
-        ("t [s],force [N]", "tf", "column 1 ('t [s]') is time, column 2 ('force [N]') is force; still needed: deflection"),
-        ("force [N],travel [mm],temp [C]", "fxf", "column 3 ('temp [C]') is not read; still needed: time"),
+        ("t [s],force [N]", "tf", "is time, column 2 ('force [N]') is force; columns that are still needed: deflection"),
+        ("force [N],travel [mm],temp [C]", "fxf", "column 3 ('temp [C]') is not read; columns that are still needed: time"),
         ("t [s],left force [N],right force [N],travel [mm]", "tffx", "needed: only one of force"),
         (
             "t [s],compression force [N],compression [mm]",
@@ -354,7 +354,7 @@ def test_a_log_in_matlab_and_a_velocity_of_the_other_sign(tmp_path):
         ),
         ("t [s],force [N],travel [mm]", "txx", "the force neither rises nor falls with velocity"),
         ("t [s],force [N],travel [mm]", "ffx", "give a log with a constant sample rate"),
-        ("t [s],force [N],travel [mm]", "tft", "the displacement has fewer than two turning points on one side"),
+        ("t [s],force [N],travel [mm]", "tft", "the displacement has fewer than two maxima and fewer than two minima"),
     ],
 )
 def test_a_log_that_is_not_enough(tmp_path, above, columns, said):

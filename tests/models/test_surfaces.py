@@ -119,9 +119,9 @@ WRONG = [
     ),
     (
         FILES["sheet"].replace("deflection", "travel"),
-        "'travel' does not state the positive direction; write deflection in this heading (positive in ext",
+        "'travel' does not state the positive direction; write deflection in this heading if extension is",
     ),
-    ({"force": F[:4]}, "force has 4 lists, of 4 numbers; give 5 lists, one for each velocity, of 4 numbers"),
+    ({"force": F[:4]}, "force has 4 lists with 4 numbers; give 5 lists (one for each velocity), each with 4 numbers"),
     ({"v": V[::-1]}, "velocity goes from 0.8 to 0.25 m/s at point 2; sort the points by velocity, and give each value once"),
     (
         {"v": 1e3 * V},

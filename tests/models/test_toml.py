@@ -60,7 +60,10 @@ def test_only_the_key_is_replaced(before, after):
 
 def test_a_text_that_cannot_be_edited():
     """If an edit would not give exactly the values, one line asks for a line of its own."""
-    with pytest.raises(InputError, match=r"^a\.b\.file cannot be replaced in the file; write each key on its own line"):
+    with pytest.raises(
+        InputError,
+        match=r"^Roadproof cannot replace a\.b\.file in the file as these keys are written now; write each key on its own line",
+    ):
         with_replacements("a = { b.file = 'm' }\n", [Replacement(("a", "b", "file"), VALUES)])
 
 

@@ -96,7 +96,7 @@ ADDED = {
         ("pid = { kp = 1.0, filter = 2.0 }", "pid has a filter, which acts only on the derivative"),
         ("pid = { kp = 1.0 }\nA = [[1.0]]", "has both pid and A, but a controller can have only one law"),
         ("pid = { kp = [1.0, 2.0] }", "pid] kp = [1.0, 2.0] is not allowed; give a number, or a list of 1"),
-        ('structure = "pid"\npid = { kp = 1.0 }', 'structure = "pid" asks for a design of the gains, but pid already gives kp'),
+        ('structure = "pid"\npid = { kp = 1.0 }', "means that Roadproof designs the gains, but pid already gives kp"),
         ('structure = "pi"\npid = { filter = 1.0 }', 'structure = "pi" has no derivative'),
     ],
     ("quarter_car", f"{VELOCITY}\ngain = [[1.0]]"): [
@@ -105,7 +105,7 @@ ADDED = {
         ("tolerance = { force = { numerator = [1.0], denominator = [1.0, 1.0] } }", "give the largest relative error"),
     ],
     ("half_car", "[controllers.mine]"): [
-        ('measured = ["suspension_deflection_front", "heave_velocity"]\nstructure = "corner"', "does not belong to a corner")
+        ('measured = ["suspension_deflection_front", "heave_velocity"]\nstructure = "corner"', "belongs to no corner")
     ],
     ("quarter_car", ""): [
         *(
@@ -131,16 +131,16 @@ ADDED = {
         ('kind = "damper"\nc_min = nan\nc_max = 4e3', "c_min = nan is not allowed; give a number from 0 to"),
         (
             'kind = "damper"\nc_min = 500.0\nc_max = 4e3',
-            "suspension_damping = 400 N s/m, the damping coefficient without a command, is not between",
+            "suspension_damping = 400 N s/m, which applies while the controller gives no command, is not between",
         ),
-        ("c_min = 300.0", 'has c_min without kind = "damper"'),
+        ("c_min = 300.0", 'has c_min, which needs kind = "damper"'),
     ],
     ("quarter_car", DAMPER): [
         ("[actuators.front]\nc_min = 1", "is not a suspension of this vehicle"),
         ("[limits]\nactuator_force = 900.0", "[limits] actuator_force applies only to force actuators"),
     ],
     ("quarter_car", "[curves]"): [
-        (f"{RATIO}\n{DAMPER}\n{OWN}", "but no sensor measures the force of a damper at a motion ratio over travel"),
+        (f"{RATIO}\n{DAMPER}\n{OWN}", "but no sensor measures the force of a damper whose motion ratio changes with travel"),
         (f"{RATIO}\n[payload]\nmass = 5e3", "the static deflection is outside the table"),
         (f"suspension_damping = {LINE}", "suspension_damping is in both [parameters] and [curves]"),
         (f"sprung_mass = {LINE}", "'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"),
@@ -150,7 +150,7 @@ ADDED = {
         ("minimise = { band = [8.0, 4.0] }", "[controllers.mine.minimise] band = [8.0, 4.0] is not allowed"),
         ("minimise = { band = [4.0, inf] }", "minimise] band = [4.0, inf] is not allowed; give the lowest and highest"),
         ('minimise = { signals = "speed" }', "minimise] signals: unknown signal 'speed'"),
-        ('minimise = { over = "regret" }', "over which the regret is computed"),
+        ('minimise = { over = "regret" }', "which is computed over a family of vehicles, but no family is given"),
         ("bounds = [{ norm = 8.0, decay = 1.0 }]", "is not allowed; give a bound, one of"),
         ("tolerance = { tyre_deflection = 0.1 }", "unknown key 'tyre_deflection'", "force stands for all forces"),
         (
@@ -181,7 +181,7 @@ ADDED = {
     ("quarter_car", "[implementation]"): [
         ("sampled = true", "[implementation] has sampled = true, but ", "gives no sample period"),
         ("delay = 51", "delay = 51", "from 0 to 50"),
-        ('sample_period = 0.005\ndelay = "0.5"', "delay = '0.5' has no unit; add the unit, as in \"1.5 s\", or omit the quotes"),
+        ('sample_period = 0.005\ndelay = "0.5"', 'unit may be in quotes; add the unit, as in "1.5 s", or omit the quotes'),
     ],
     ("quarter_car_semi_active", VELOCITY): [("mix = 0.5", "mix needs a semi-active law, but the section names none")],
     ("full_car", ""): [

@@ -439,7 +439,7 @@ def test_a_height_has_a_norm_where_the_road_has_a_height():
     ("kind", "lines", "words"),
     [
         ("full_car", "roll_centre_height_front = 0.1", ["without roll_centre_height_rear", "give both heights, or neither"]),
-        ("full_car", f"{ON_THE_GROUND}\ncentre_height = 3.0", ["falls over when it rolls", "N m/rad", "stiffer", "roll centres"]),
+        ("full_car", f"{ON_THE_GROUND}\ncentre_height = 3.0", ["falls over when it rolls", "N m/rad", "stiffen", "roll centres"]),
         ("half_car", "pitch_centre_height = -2.0\ncentre_height = 30.0", ["falls over when it pitches", "pitch centre"]),
         ("half_car", ON_THE_GROUND, ["only heaves and pitches", "use a full_car"]),
     ],

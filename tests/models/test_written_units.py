@@ -134,7 +134,9 @@ def test_python(make, written, values):
     """A road, a load and a law in Python take texts with units as files do."""
     made = make(**written)
     assert [getattr(made, name) for name in written] == pytest.approx(values, rel=1e-15)
-    with pytest.raises(InputError, match=rf"{next(iter(written))} = '3' has no unit; add the unit, as in"):
+    with pytest.raises(
+        InputError, match=rf"{next(iter(written))} = '3' has no unit, but only a number with a unit may be in quotes; add"
+    ):
         make(**{next(iter(written)): "3"})
 
 

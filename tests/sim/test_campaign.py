@@ -475,7 +475,7 @@ BAD_FILES = [
     ),
     # A key that dampers do not share, or cannot be
     (DAMPED, SAMPLED + "c_max = { uniform = [0.5, 1.0], relative = true }", "c_max_front, c_max_rear"),
-    (DAMPED, SAMPLED + "c_max_front = { uniform = [0.1, 0.2], relative = true }", "front = 1000 N s/m, the damping"),
+    (DAMPED, SAMPLED + "c_max_front = { uniform = [0.1, 0.2], relative = true }", "front = 1000 N s/m, which applies while"),
 ]
 
 

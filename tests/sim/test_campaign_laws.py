@@ -102,7 +102,7 @@ def test_a_gain_in_python_has_its_metrics_and_no_claims(tmp_path, capsys):
 
 FAULTS = {
     "    if mass > 500: raise ValueError('too heavy')\n": "ValueError: too heavy, line 3) at 0 s",
-    "    if mass > 500 and sample.time > 0.1: return float('nan'), None\n": "the returned force is not finite) at 0.102 s",
+    "    if mass > 500 and sample.time > 0.1: return float('nan'), None\n": "finite; return finite numbers) at 0.102 s",
     "    while mass > 500: pass\n": "step takes longer than 0.2 s at 0 s",
     "    if mass > 500 and sample.time > 0.1: __import__('os')._exit(3)\n": "step ends its process (exit code 3) at 0.102 s",
 }

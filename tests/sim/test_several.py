@@ -94,7 +94,7 @@ def test_each_vehicle_has_the_controllers_of_its_file(files, capsys):
     assert bump.main([*pair, *options, "firm", "--controller", "sky"]) == 0
     runs = [(one["vehicle"], one["controller"]["name"]) for one in json.loads(capsys.readouterr().out)["runs"]]
     assert runs == [("corner", "firm"), ("both", "firm"), ("both", "sky")]
-    for names, words in ((["sky"], "does not have any of the"), (["firm", "--vehicle", files["both"]], "given twice")):
+    for names, words in ((["sky"], "this vehicle has none of the"), (["firm", "--vehicle", files["both"]], "given twice")):
         with refused(words):
             bump.main([*pair, *options, *names])
     with refused("--as simulates exported code, which needs one vehicle"):

@@ -109,8 +109,8 @@ def read_measured_log(
         if rate is None and not clocks:
             found = first_few([short_repr(one.text) for one in headings if one.text], 8)
             raise InputError(
-                f"no column is called time (columns: {found}); rename the column with times, as in time [s], or give "
-                "the sample rate with --beside-rate"
+                f"no column is called time (columns: {found}); give the column that contains the times a heading such "
+                "as time [s], or give the sample rate with --beside-rate"
             )
         if rate is not None and clocks:
             raise InputError(
@@ -129,7 +129,10 @@ def read_measured_log(
         for other in clocks[1:]:  # the clock of each other plot
             if not np.array_equal(table.seconds(other, "s"), time, equal_nan=True):
                 both = columns_in_words([clocks[0], other])
-                raise InputError(f"{both} contain different times; export the plots with the same times")
+                raise InputError(
+                    f"{both} contain different times, but all plots must have the same times; export the plots again "
+                    "with common times"
+                )
         time = time - time[0] if stamped else time
         for i in np.flatnonzero(np.diff(time) < 0)[:1]:
             raise InputError(
@@ -203,7 +206,7 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
         found = first_few([short_repr(one.text) for one in headings if one.text], 8) or "without names"
         raise InputError(
             f"no column has the name of a signal (columns: {found}); rename a column, or give --beside-column "
-            f"SIGNAL=HEADING. The nearest signals are {list_names({*near} or units)}"
+            f"SIGNAL=HEADING. Possible names of signals are {list_names({*near} or units)}"
         )
     return used
 

@@ -69,14 +69,14 @@ class Hysteretic(Part):
         if (most := self.largest_voltage) is None:
             if self.bandwidth is not None:
                 raise InputError(
-                    "bandwidth has no effect, because the voltage does not change without largest_voltage; give "
+                    "bandwidth has no effect, because the voltage is constant if largest_voltage is not given; give "
                     "largest_voltage, or omit bandwidth"
                 )
             return
         if self.voltage > most:
             raise InputError(
-                f"voltage = {self.voltage:g} V, which acts without a command, is above largest_voltage = {most:g} V; give a "
-                "smaller voltage"
+                f"voltage = {self.voltage:g} V, which applies while the controller gives no command, is above "
+                f"largest_voltage = {most:g} V; give a smaller voltage"
             )
         if not any(getattr(self, f"{name}_per_volt") for name in self.by_voltage):
             numbers = list_names(f"{name}_per_volt" for name in self.by_voltage)

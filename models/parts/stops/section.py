@@ -69,7 +69,7 @@ class StopStiffness(Key):
         if not 1 <= len(value) <= MOST:
             raise InputError(
                 f"{HERE} = {short_repr(list(value))} has {len(value)} coefficients, but 1 to {MOST} are allowed; give "
-                "fewer: a stop that is compressed by x pushes back with k_1 x + k_2 x^2 + k_3 x^3"
+                "coefficients of the force k_1 x + k_2 x^2 + k_3 x^3, where x is the compression of the stop"
             )
         units = zip(value, ("N/m", "N/m2", "N/m3"), (SMALLEST, 0.0, 0.0), strict=False)
         return tuple(SI(unit, low=low).number(f"{HERE}[{i}]", k) for i, (k, unit, low) in enumerate(units))

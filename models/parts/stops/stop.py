@@ -98,14 +98,15 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
         if stroke is None:
             return None
         raise InputError(
-            "every force of its table at positive compression is 0; give the force as a function of the compression of the stop"
+            "every force of its table at positive compression is 0, so the stop would never push back; give forces "
+            "above 0 at positive compression of the stop"
         )
     first = int(np.flatnonzero(force)[0]) - 1
     if first < 0 or (stroke is None and not u[first]):
         raise InputError(
             f"its table pushes back with {force[first + 1]:.6g} N at {u[first + 1]:g} m, but has no point where "
-            "contact begins; begin with 0 N at contact. A stop that touches at rest belongs to the spring: "
-            "suspension_stiffness = [22e3, { ... }]"
+            "contact begins; begin with 0 N at contact. If the stop touches at rest, add its table to "
+            "suspension_stiffness, as in [22e3, { ... }]"
         )
     if stroke is not None and u[first]:
         raise InputError(
@@ -210,7 +211,7 @@ def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> B
                     here, there = ("compression", "extension")[:: -int(sign)]
                     own = ", or give suspension_stroke if the table is a function of the compression of the stop"
                     raise InputError(
-                        f"every force of its table in {here} is 0, and only {there} has forces; give forces in "
+                        f"its table has forces only in {there}, and every force in {here} is 0; give forces in "
                         f"{here}{own if sign > 0 else ''}"
                     )
         elif isinstance(stiffness, StopPair) and isinstance(stroke, StopPair) and (length is None) != (spring is None):
@@ -263,10 +264,10 @@ def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[s
     known, places = places_of(corners), {"": common}
     for name, value in own.items():
         if name not in known:
-            has = f"sections {list_names(known)}" if known else "no sections, because there is only one suspension"
+            has = f"the sections {list_names(known)}" if known else "no sections, because there is only one suspension"
             raise InputError(
-                f"[limits.{name}] is not a suspension of this vehicle; [limits] may have {has}, and the keys "
-                f"{list_names(STOP_NAMES)}"
+                f"[limits.{name}] is not a suspension of this vehicle; omit or rename this section. [limits] allows "
+                f"the keys {list_names(STOP_NAMES)}, and {has}"
             )
         places[name] = read(f"[limits.{name}]", StopSection, value)
     for corner in corners:
