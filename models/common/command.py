@@ -136,7 +136,7 @@ class Parser(argparse.ArgumentParser):
             action="append",
             type=_name,
             metavar="NAME",
-            help=f"passive, state, a controller in the vehicle file, or all; the option can be repeated ({default})",
+            help=f"passive, state (state feedback), a controller of the vehicle file, or all; the option can be repeated ({default})",
         )
         if several:
             self.add_argument(

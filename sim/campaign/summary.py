@@ -88,17 +88,13 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
         shown |= {who for who in every if who.variant == 0 and who.controller not in there}
         some = [each for who, each in every.items() if who.variant is None or who in shown]
         absent = (
-            '; "-" marks controllers for which some runs have no metrics'
-            if any(not any(each.values.values()) for each in some)
-            else ""
+            "; -: some runs of this controller have no metrics" if any(not any(each.values.values()) for each in some) else ""
         )
         left = f"; {len(every) - len(some)} variants that are best in no column are omitted" if len(every) > len(some) else ""
         lines += [
             "",
             vehicle,
-            *score_lines(
-                some, f"MuJoCo results over all runs, with the largest peak that each controller reached{begins}{absent}{left}"
-            ),
+            *score_lines(some, f"MuJoCo over all runs, with the largest peak that each controller reached{begins}{absent}{left}"),
         ]
     return lines
 
