@@ -65,8 +65,8 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
     ]
     kind = f" ({kinds.pop()})" if len(kinds) == 1 and all(kinds) else ""
     text = (
-        f"Errors of all signals: largest error that is proved harmless{kind}, then smallest error found to be harmful. "
-        "int16, float16: norm of the law after rounding."
+        f"Errors of all signals: largest error proved harmless{kind}, then smallest error found harmful. "
+        "int16, float16: norm of the rounded law."
     )
     return [*notes(text, detail="brief"), Table.of("fragility", text, fields, reports.items(), detail="brief")]
 
