@@ -42,7 +42,10 @@ def parser() -> Parser:
     parser.add_number("--length", BUMP_LENGTH, "m", "bump length")
     parser.add_number("--speed", BUMP_SPEED, "m/s", "speed of the vehicle; other units, such as 90km/h, are allowed")
     parser.add_argument(
-        "--track", choices=("left", "right", "both"), default="both", help="side of the vehicle with the bump (default: both)"
+        "--track",
+        choices=("left", "right", "both"),
+        default="both",
+        help="side of the vehicle that drives over the bump (default: both)",
     )
     add_run_options(parser, 3.0)
     return parser

@@ -36,7 +36,7 @@ def parser() -> Parser:
     parser = Parser("sim.new", "Write a commented vehicle file that works with every command.", EPILOG)
     parser.add_argument("file", type=Path, nargs="?", metavar="FILE", help="file to write, such as my_car.toml")
     parser.add_argument("--type", choices=TYPES, default=TYPES[0], help=f"vehicle type (default: {TYPES[0]})")
-    parser.add_argument("--schema", action="store_true", help="write a JSON schema, with which editors complete keys")
+    parser.add_argument("--schema", action="store_true", help="write a JSON schema that lets editors complete keys")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 

@@ -62,7 +62,7 @@ def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
     everything = designed if options.zero_l else vehicle.linear_names
     if options.zero_l and not designed:
         raise InputError(
-            f"--zero-l applies only to designs in two steps, but {vehicle.source} contains no such design; omit --zero-l"
+            f"--zero-l applies only to two-step designs, but {vehicle.source} contains no such design; omit --zero-l"
         )
     names = (
         everything
@@ -73,7 +73,9 @@ def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
         if options.zero_l and name in vehicle.controllers:
             check_command(f"controller {name!r}", vehicle.controllers[name].parts, "zero_l")
         elif options.zero_l:
-            raise InputError(f"--zero-l: {name!r} is not designed in two steps; give one of {list_names(designed)}")
+            raise InputError(
+                f"--zero-l applies only to two-step designs, but {name!r} is not one; give one of {list_names(designed)}"
+            )
     if options.refine and list(names) == ["passive"]:
         raise InputError("--refine: the passive vehicle has no gain to refine; give a controller, or omit --refine")
     return list(names)

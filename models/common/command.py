@@ -136,7 +136,8 @@ class Parser(argparse.ArgumentParser):
             action="append",
             type=_name,
             metavar="NAME",
-            help=f"passive, state, a controller of the vehicle file, or all; can be repeated ({default})",
+            help="passive, state (state feedback), a controller of the vehicle file, or all; the option can be repeated "
+            f"({default})",
         )
         if several:
             self.add_argument(

@@ -258,7 +258,7 @@ def table_text(path: Path) -> str:
             from python_calamine import CalamineWorkbook  # pyright: ignore[reportMissingImports] - an extra
         except ImportError:
             raise InputError(
-                "a spreadsheet needs python-calamine; run pip install 'roadproof[excel]', or save it as .csv"
+                "reading a spreadsheet needs python-calamine; run pip install 'roadproof[excel]', or save the spreadsheet as .csv"
             ) from None
         book = CalamineWorkbook.from_path(str(path))
         sheets = {

@@ -60,27 +60,27 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
         return RoadWithLoads(road, described_loads(loads.split(PLUS)))
     if kind in ("profile", "rig"):
         if points is None:
-            raise InputError(f"the log does not contain the points of the road ({kind}); simulate this road again")
+            raise InputError(f"the log does not contain the points of the road ({kind}); repeat the simulation to get a new log")
         source = str(description.get("source", ""))
         if kind == "rig":
             return rig_from_csv(points, source)
         if "join" not in description:
             raise InputError(
-                "this log is from an older version of Roadproof, which interpolated differently between the points "
-                "of the road; simulate this road again"
+                "an older version of Roadproof recorded this road, and interpolated between its points in a different way; "
+                "repeat the simulation to get a new log"
             )
         return from_csv(points, check(f"{where} speed", description.get("speed"), float), source, str(description["join"]))
     factor = description["factor"] if kind in OBSTACLES and "factor" in description else None
     road = read_road(where, {name: value for name, value in description.items() if factor is None or name != "factor"})
     for name, value in road.describe().items():
         if name not in description and name != "factor":
-            raise InputError(f"{where} the log contains no value of {name} for this road; simulate this road again")
+            raise InputError(f"{where} the log contains no value of {name} for this road; repeat the simulation to get a new log")
         if not isinstance(value, float):
             continue
         logged = check(f"{where} {name}", description.get(name, value), float)
         if not math.isclose(logged, value, rel_tol=SAME):
             raise InputError(
-                f"{where} {name} was logged as {logged:g}, but is now computed as {value:g}, so the road differs from "
-                "the logged road; simulate this road again"
+                f"{where} {name} was logged as {logged:g}, but is now computed as {value:g}, so this road is not the logged "
+                "road; repeat the simulation to get a new log"
             )
     return road if factor is None else ScaledRoad(road, check(f"{where} factor", factor, float))

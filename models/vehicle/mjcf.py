@@ -193,8 +193,8 @@ def _check_line(tendon: Any, one: "SuspensionPart") -> None:
     own, slope = (float((tendon.damping if one.damps else tendon.stiffness)[0]), line.damping if one.damps else line.stiffness)
     if not abs(own - slope) <= SAME * max(abs(own), abs(slope)):
         raise InputError(
-            f"the tendon {one.tendon!r} has {one.parameter} = {own:g}, but the curve replaces only the value "
-            f"{slope:g} of the vehicle file; let write_mjcf write {one.parameter} from the vehicle file, or omit the curve"
+            f"the tendon {one.tendon!r} has {one.parameter} = {own:g}, but the vehicle file gives {slope:g}. A curve "
+            f"can replace the tendon's force only if both are equal; let write_mjcf write {one.parameter}, or omit the curve"
         )
 
 

@@ -85,14 +85,14 @@ def _parser() -> Parser:
     parser.add_argument(
         "--best",
         metavar="METRIC",
-        help="find the controller, or the sampled variant of a law, with the smallest value of this metric over all runs: "
-        f"{', '.join(METRICS)}, or a metric column of the results",
+        help="find the controller, or the variant of a law with sampled parameters, that has the smallest value of this metric "
+        f"over all runs; the metric is one of {', '.join(METRICS)}, or a metric column of the results",
     )
     parser.add_argument(
         "--subject-to",
         action="append",
         metavar="METRIC:LIMIT",
-        help="largest allowed value of a metric other than that of --best, in SI units (m, m/s2, N; fractions of time from 0 "
+        help="largest allowed value of a metric that --best does not minimise, in SI units (m, m/s2, N; fractions of time from 0 "
         "to 1), for example peak_travel:0.08; may be repeated",
     )
     parser.add_exported()
@@ -104,7 +104,8 @@ def _parser() -> Parser:
         nargs="?",
         const=HERE,
         metavar="ADDRESS",
-        help="run on a Ray cluster: HOST:PORT of its head, or auto (default without ADDRESS: the cores of this machine)",
+        help="run on a Ray cluster; give HOST:PORT of the cluster's head, or auto; without ADDRESS, Ray uses the cores of this "
+        "machine",
     )
     parser.add_argument(
         "--part",

@@ -110,7 +110,8 @@ class Choice:
         if candidate is None:
             absent = list_names([request.metric, *request.limits])
             return Statement(
-                f"{self.vehicle}: each of the {self.count} candidates has runs that ended early, so it has no {absent}.", "fails"
+                f"{self.vehicle}: each of the {self.count} candidates has runs that ended early, so no candidate has a {absent}.",
+                "fails",
             )
         drawn = "".join(f", {key} {DRAWN_KEY.digits(value)}" for key, value in self.values.items())
         who = f"{self.vehicle}: {as_name(candidate.name)}{drawn and f'{drawn},'}"

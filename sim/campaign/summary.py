@@ -77,7 +77,7 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
         chosen: candidate that the table of a vehicle always contains, by vehicle; None if no candidate was selected.
     """
     lines, settles = [], any(road.stationary for road in campaign.roads)
-    begins = f"; random roads are measured from {campaign.settle:g} s on (settle)" if settles else ""
+    begins = f"; on random roads, metrics omit the first {campaign.settle:g} s (settle)" if settles else ""
     for vehicle, every in scores.items():
         shown = {chosen.get(vehicle)}
         for one in FIELDS:
@@ -87,12 +87,14 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
         # If runs were aborted for all variants of a law, the first variant is shown.
         shown |= {who for who in every if who.variant == 0 and who.controller not in there}
         some = [each for who, each in every.items() if who.variant is None or who in shown]
-        absent = "; -: some runs have no metrics" if any(not any(each.values.values()) for each in some) else ""
+        absent = (
+            "; -: some runs of this controller have no metrics" if any(not any(each.values.values()) for each in some) else ""
+        )
         left = f"; {len(every) - len(some)} variants that are best in no column are omitted" if len(every) > len(some) else ""
         lines += [
             "",
             vehicle,
-            *score_lines(some, f"MuJoCo over all runs, with the largest peak of each controller{begins}{absent}{left}"),
+            *score_lines(some, f"MuJoCo over all runs, with the largest peak that each controller reached{begins}{absent}{left}"),
         ]
     return lines
 

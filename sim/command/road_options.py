@@ -30,8 +30,9 @@ def add_vehicles(parser: Parser) -> None:
         action="append",
         choices=WITHOUT,
         default=[],
-        help="also simulate every controller without this part of the vehicle file, to show its effect: sensor noise and "
-        "quantisation, delay of the forces, limits (largest force and bump stops), or lag of the actuators; may be repeated",
+        help="also simulate every controller without one effect that the vehicle file describes, to show how much this effect "
+        "matters: sensor noise and quantisation, delay of the forces, limits (largest force and bump stops), or lag of the "
+        "actuators; may be repeated",
     )
 
 
@@ -42,9 +43,9 @@ def add_start(parser: Parser) -> None:
         action="append",
         default=[],
         metavar="STATE=VALUE",
-        help="initial state instead of equilibrium: a state of the vehicle's linear model, as in suspension_deflection=20mm, or "
-        "height=50mm, which lifts the whole vehicle for a drop test; may be repeated. With --road flat, the frequencies and "
-        "damping ratios of the free decay are printed",
+        help="start from this state instead of equilibrium: give a state of the vehicle's linear model, as in "
+        "suspension_deflection=20mm, or give height=50mm to lift the whole vehicle for a drop test; may be repeated. With "
+        "--road flat, the frequencies and damping ratios of the free decay are printed",
     )
 
 
@@ -104,7 +105,8 @@ def add_run_options(parser: Parser, duration: float) -> None:
         "--picture",
         type=Path,
         metavar="FILE",
-        help="draw MuJoCo and linear analysis over time, with a panel for each weighted signal (.png, .svg or .pdf)",
+        help="draw the signals of MuJoCo and of linear analysis over time, with a panel for each weighted signal (.png, .svg or "
+        ".pdf)",
     )
     parser.add_argument(
         "--csv", type=Path, metavar="FILE", help="write all signals of MuJoCo and linear analysis over time (.csv)"
@@ -144,7 +146,9 @@ def add_measured(parser: Parser) -> None:
     parser.add_number("--beside-start", None, "s", "time of the log at which the runs start", "largest correlation")
     parser.add_number("--beside-rate", None, "Hz", "sample rate of a log without a column of time", "column of time")
     parser.add_argument(
-        "--beside-remove-offset", action="store_true", help="remove the mean offset between each measured signal and MuJoCo"
+        "--beside-remove-offset",
+        action="store_true",
+        help="remove the mean offset between each measured signal and the same signal in MuJoCo",
     )
 
 
@@ -230,7 +234,10 @@ def end_lines(road: "Road", duration: float) -> list[str]:
         return []
     if ends > duration:
         return wrap_text(f"The run covers {percent(duration / ends)} of the road; --duration {rough(ends)} covers the whole road")
-    lower = f"the road has points for {rough(ends)} s of the {duration:g}-s run. The straight road after that lowers every rms"
+    lower = (
+        f"the road has points for only {rough(ends)} s of the {duration:g}-s run. The straight road after its last point "
+        "lowers every rms"
+    )
     return wrap_text(f"{lower} value; --duration {rough(ends)} ends the run at the road's last point")
 
 

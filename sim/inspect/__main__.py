@@ -94,11 +94,16 @@ def _parser() -> Parser:
         "--csv", type=Path, metavar="FILE", help="write the signals of one log, as logged and as recomputed by MuJoCo (.csv)"
     )
     parser.add_argument(
-        "--kinds", type=Path, metavar="DIR", help="folder of a custom vehicle type, whose Python is executed (default: none)"
+        "--kinds",
+        type=Path,
+        metavar="DIR",
+        help="folder of a custom vehicle type; the Python code in this folder is executed (default: none)",
     )
     printed = parser.add_mutually_exclusive_group()
     printed.add_argument("-v", "--verbose", action="store_true", help="print every finding, even for several logs")
     printed.add_argument(
-        "--json", action="store_true", help="print one JSON object and nothing else; for several logs {logs, proves}"
+        "--json",
+        action="store_true",
+        help="print one JSON object and nothing else; for several logs, the object has the keys logs and proves",
     )
     return parser

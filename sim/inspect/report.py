@@ -53,7 +53,7 @@ def describe(proof: Proof, in_table: bool = False) -> Document:
     versions = ", ".join(f"{name} {version}" for name, version in log.versions.items())
     more = [f"vehicle file {log.metadata.get('vehicle', 'without a name')}", f"versions {versions}"]
     goals = any(finding.part == "goals" for one in proof.runs for finding in one.findings)
-    holds = f"the log still proves what it claims{'; it makes no claim about goals' if goals else ''}"
+    holds = f"the log still proves what it claims{'; the log makes no claim about goals' if goals else ''}"
     answer = holds if proof.holds else f"the log DOES NOT PROVE what it claims: {', '.join(proof.broken)}"
     first = (*notes(*filter(None, about)), *notes(*more, detail="full"), *_statements(proof.findings))
     last = Document("", (Statement(answer, "holds" if proof.holds else "fails"),))

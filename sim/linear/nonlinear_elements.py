@@ -28,5 +28,7 @@ def at_rest_words(vehicle: Vehicle) -> str:
         phrases.append("force actuators instead of the semi-active dampers, so that every requested force acts")
     if bent:
         whose = " and ".join(name.replace("_", " ") for name in bent)
-        phrases.append(f"straight lines instead of the characteristics of {whose}, which have a kink at equilibrium")
+        phrases.append(
+            f"straight lines instead of the characteristics of {whose}, because these characteristics have a kink at equilibrium"
+        )
     return f"In these runs, MuJoCo uses {' and '.join(phrases)}" if phrases else ""

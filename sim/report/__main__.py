@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> Parser:
     parser = Parser("sim.report", "Write one HTML page about a vehicle file and its controllers.", EPILOG)
     parser.add_controller_and_vehicle("default: all but published copies, such as I_printed", "a page for each and one table")
-    parser.add_argument("--gallery", action="store_true", help="write the page of published results instead")
+    parser.add_argument("--gallery", action="store_true", help="write the page of published results, not a report")
     parser.add_argument(
         "--out", type=Path, metavar="FILE", help="file to write the page to (default: report-VEHICLE.html, report-gallery.html)"
     )

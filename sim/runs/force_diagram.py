@@ -163,5 +163,5 @@ def _diagram_signal(what: str, quantity: str, ending: str, unit: str, meaning: s
 
 
 def _line(what: str, ending: str, label: str, dash: Dash, width: float, force: Callable[[Array], Array]) -> Line:
-    signal = _diagram_signal(what, f"force_{label.replace(' ', '_')}", ending, "N", f"force of its {label} at the actual motion")
+    signal = _diagram_signal(what, f"force_{label.replace(' ', '_')}", ending, "N", f"force of the {label} at the actual motion")
     return Line(signal, label, dash, width, force)

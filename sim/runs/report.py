@@ -306,7 +306,9 @@ def _checks(run: RunResult) -> Iterator[Statement]:
     if steps is None:
         small = any(signal.small is not None for signal in run.agreement.signals.values())
         first_order = f"; the run is compared with {run.prediction.reference} to first order" if small else ""
-        yield Statement(f"no time step is compared, because this vehicle type has no equations of motion (`motion`){first_order}")
+        yield Statement(
+            f"time steps are not compared with equations of motion, because this vehicle type has none (`motion`){first_order}"
+        )
     elif steps.until > 0:
         wrong = f"DOES NOT AGREE from {WHEN.text(steps.since)} on: not every MuJoCo step"
         end = f", until {WHEN.text(steps.until)}" if math.isfinite(steps.until) else ""
@@ -364,8 +366,8 @@ def _distance(run: RunResult) -> Iterator[Statement]:
     if off := line_words(run):
         name = max(run.line_errors, key=run.line_errors.__getitem__)
         yield Statement(
-            f"norm, margins and designs are based on the linearisation at equilibrium, which is {off} in MuJoCo {_when(run)} "
-            f"(worst: {name})"
+            "norm, margins and designs are based on the linearisation at equilibrium; compared with MuJoCo, this linearisation "
+            f"is {off} {_when(run)} (worst: {name})"
         )
     if agreement.coarse:
         yield Statement(

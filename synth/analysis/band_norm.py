@@ -107,8 +107,8 @@ def check_band(low: float, high: float) -> None:
     """Raises an InputError unless 0 <= low < high [rad/s]."""
     if not 0 <= low < high:
         raise InputError(
-            f"low = {short_repr(low)} to high = {short_repr(high)} rad/s is not a frequency band; give low of at "
-            "least 0, and high above low"
+            f"low = {short_repr(low)} and high = {short_repr(high)} rad/s do not form a frequency band; give a low of at "
+            "least 0, and a high above low"
         )
 
 

@@ -427,8 +427,9 @@ def prove_bound(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> LmiP
         negative = -bounded_real_exactly(plant, G, X, eta)
     except OverflowError:
         raise InputError(
-            f"eta = {eta:g} or the largest entry of X, {np.abs(X).max(initial=0.0):g}, is out of the allowed range; "
-            f"give an eta from {SMALLEST:g} to {1 / SMALLEST:g}, and entries of X of at most {1 / SMALLEST:g}"
+            f"eta = {eta:g} is out of the allowed range, or the largest entry of X, which is "
+            f"{np.abs(X).max(initial=0.0):g}, is too large; give an eta from {SMALLEST:g} to {1 / SMALLEST:g}, and entries of X "
+            f"of at most {1 / SMALLEST:g}"
         ) from None
     return LmiProof(X, eta, definiteness(X), definiteness(negative))
 

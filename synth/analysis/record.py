@@ -86,9 +86,12 @@ def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[
     """
     for key in record:
         if key not in CLAIMS + PROOFS:
-            raise InputError(f"unknown key {key!r} in a certificate; known: {list_names(CLAIMS + PROOFS)}")
+            raise InputError(f"a certificate has the unknown key {key!r}; known keys: {list_names(CLAIMS + PROOFS)}")
         if record[key] is None:
-            raise InputError(f"{key} in a certificate has the value null; delete this key, or save the controller again")
+            raise InputError(
+                f"{key} in a certificate has the value null; delete this key, or save the controller again to renew "
+                "its certificate"
+            )
     n = len(plant.A)
     for key in ("norm", "peak_frequency", "lower_bound", SAMPLED_NORM, SAMPLED_BOUND):
         _number(record, key)
@@ -97,11 +100,11 @@ def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[
         if not np.all(np.diagonal(X) >= SMALLEST):
             raise InputError(
                 f"X = {short_repr(record['X'])} in a certificate is not positive definite, because a diagonal entry is below "
-                f"{SMALLEST:g}; save the controller again"
+                f"{SMALLEST:g}; save the controller again to renew its certificate"
             )
         size = np.sqrt(np.abs(np.diagonal(X)))
         if np.any(np.abs(X - X.T) > SAME * np.outer(size, size)):
-            raise InputError("X in a certificate is not symmetric; save the controller again")
+            raise InputError("X in a certificate is not symmetric; save the controller again to renew its certificate")
     bound = _number(record, "bound")
     eta = eta_of(bound) if bound is not None else None
     lower_bound = _prove_bound(record, plant)
@@ -119,7 +122,7 @@ def read_sampled_bound(record: Mapping[str, Any], problem: "SampledDataProblem")
     if not isinstance(proof, Mapping) or any(key not in LOWER_PROOFS for key in proof):
         raise InputError(
             f"{SAMPLED_PROOF} = {short_repr(proof)} in a certificate is not a table with {list_names(LOWER_PROOFS)}; save "
-            "the controller again"
+            "the controller again to renew its certificate"
         )
     plant = problem.at(level)
     if plant is None:
@@ -144,7 +147,9 @@ def _prove_bound(record: Mapping[str, Any], plant: Plant) -> LowerBound:
         try:
             proved = prove_lower_bound(plant, state, observer)
         except ValueError as error:
-            raise InputError(f"a certificate does not fit the vehicle: {error}; save the controller again") from error
+            raise InputError(
+                f"a certificate does not fit the vehicle: {error}; save the controller again to renew its certificate"
+            ) from error
         lower_bound = proved if proved.gamma > lower_bound.gamma else lower_bound
     return lower_bound
 
@@ -180,7 +185,8 @@ def _number(record: Mapping[str, Any], key: str) -> float | None:
     zero = key in MAY_BE_ZERO and number and value == 0
     if not number or not (zero or SMALLEST <= value <= LARGEST):
         raise InputError(
-            f"{key} = {short_repr(value)} in a certificate is not between {SMALLEST:g} and {LARGEST:g}; save the controller again"
+            f"{key} = {short_repr(value)} in a certificate is not between {SMALLEST:g} and {LARGEST:g}; save the controller "
+            "again to renew its certificate"
         )
     return float(value)
 
@@ -197,7 +203,7 @@ def _matrix(record: Mapping[str, Any], key: str, shape: tuple[int, int] | None =
         expected = f" of shape {shape}" if shape else ""
         raise InputError(
             f"{key} = {short_repr(value)} in a certificate is not a matrix{expected} of finite numbers up to "
-            f"{LARGEST:g}; save the controller again"
+            f"{LARGEST:g}; save the controller again to renew its certificate"
         )
     return matrix
 
@@ -213,8 +219,8 @@ def _zeros(record: Mapping[str, Any]) -> "Zeros | None":
         fits, of_z, of_y = False, (), ()
     if not fits:
         raise InputError(
-            f"zeros = {short_repr(value)} in a certificate is not two lists of [real, imaginary] pairs of finite numbers; save "
-            "the controller again"
+            f"zeros = {short_repr(value)} in a certificate must be two lists, each with [real, imaginary] pairs of finite "
+            "numbers; save the controller again to renew its certificate"
         )
     return of_z, of_y
 
@@ -227,5 +233,8 @@ def _dual_certificate(record: Mapping[str, Any], key: str) -> DualCertificate | 
         value = {}
     X, eta = _matrix(value, "X"), _number(value, "eta")
     if X is None or eta is None or X.shape[0] != X.shape[1]:
-        raise InputError(f"{key} = {short_repr(value)} in a certificate has no square X, or no eta; save the controller again")
+        raise InputError(
+            f"{key} = {short_repr(value)} in a certificate has no square X, or no eta; save the controller again to renew its "
+            "certificate"
+        )
     return DualCertificate(X, eta)

@@ -119,8 +119,8 @@ def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> De
         rows = [_design_row(designer, name, options, stage, alone=len(names) == 1) for name in names]
     if options.cross_check and not any(row.witness or row.controller is None for row in rows):
         raise InputError(
-            "--cross-check needs a controller that is designed by LMI (22) or (25) without filters; give such a "
-            "controller, or omit --cross-check"
+            "--cross-check needs a controller that is designed without filters, by LMI (22) or (25) of the paper; give "
+            "such a controller, or omit --cross-check"
         )
     stage(FREE)
     flat = {} if options.check else _flatness(designer, rows)

@@ -102,7 +102,9 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     from synth.controller.export.matlab import mat_file, script, struct_names
 
     if "numbers" in options.given:
-        raise InputError("--numbers applies only to C code, but a MATLAB file always contains double numbers; omit --numbers")
+        raise InputError(
+            "--numbers applies only to C code, but a MATLAB file always contains numbers in double precision; omit --numbers"
+        )
     linear = [name for name in vehicle.linear_names if name != "passive"]
     own = [name for name in linear if name in vehicle.controllers]
     left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].request.preview]
@@ -113,13 +115,13 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     other = [name for name in names if name not in linear]
     if other:
         raise InputError(
-            f"controller {other[0]!r} has no matrices that a MATLAB file could contain; give a linear controller:  "
+            f"controller {other[0]!r} has no law with matrices to write to a MATLAB file; give a linear controller: "
             f"{list_names(linear)}"
         )
     if not names:
         raise InputError(
-            f"{vehicle.source} contains no linear controller that a MATLAB file could contain; add a linear controller to "
-            "[controllers]"
+            f"{vehicle.source} contains no linear controller, but a MATLAB file can contain only linear controllers; add a "
+            "linear controller to [controllers]"
         )
     designer = Designer(vehicle, search=False)
     controllers: list[Controller] = [designer.design(name) for name in names]
@@ -185,8 +187,8 @@ def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
     """Returns the content of an FMU that contains a controller. The FMU includes the files that are exported to a folder."""
     if options.numbers not in ("double", "float"):
         raise InputError(
-            f"an FMU cannot have {options.numbers} numbers, because its variables are floating-point numbers; give double "
-            "or float"
+            f"an FMU cannot contain {options.numbers} numbers, because the variables of an FMU are floating-point numbers; "
+            "give --numbers double or float"
         )
     saved, law, texts = _law(vehicle, options, lambda plain: plain if plain.startswith("law_") else f"law_{plain}")
     return law_model(saved, law, sha256(texts[CERTIFICATE])), texts, texts["README.md"]
@@ -230,8 +232,8 @@ def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     entry = vehicle.controllers.get(name)
     if vehicle.with_actuators_of(name) is not vehicle:
         raise InputError(
-            f"--export: {name!r} commands force actuators, but the vehicle file has semi-active dampers; export {name!r} from a "
-            "file without [actuators]"
+            f"--export: {name!r} commands force actuators, but [actuators] in the vehicle file describes semi-active dampers; "
+            f"export {name!r} from a file without [actuators]"
         )
     if entry is not None and entry.source.request is None:
         return vehicle, name

@@ -65,7 +65,7 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
     ]
     kind = f" ({kinds.pop()})" if len(kinds) == 1 and all(kinds) else ""
     text = (
-        f"Errors of all signals: largest error proved harmless{kind}, then smallest found harmful. "
+        f"Errors of all signals: largest error proved harmless{kind}, then smallest error found harmful. "
         "int16, float16: norm of the rounded law."
     )
     return [*notes(text, detail="brief"), Table.of("fragility", text, fields, reports.items(), detail="brief")]

@@ -53,8 +53,10 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
     """
     options = _parser().parse_args(arguments)
     if options.cross_check and (options.check or options.refine):
-        why = "--check designs nothing" if options.check else "--refine moves the gain away from their optima"
-        raise InputError(f"--cross-check solves the LMI problems of designs again, but {why}; omit one of the two options")
+        why = "--check designs nothing" if options.check else "--refine moves the gain away from the optima of these problems"
+        raise InputError(
+            f"--cross-check solves the LMI problem of each design again, but {why}; omit --cross-check or the other option"
+        )
     given = options.given | ({"range"} if options.ranges else set())
     for name, (does, others) in ALONE.items():
         if name in given and given - {name, "json", "verbose", *others}:
@@ -85,7 +87,8 @@ def _parser() -> Parser:
     parser.add_argument(
         "--zero-l",
         action="store_true",
-        help="set the paper's matrix L to 0 instead of computing it from (14): the one-step design of remark 4",
+        help="set the paper's matrix L to 0 instead of computing it from equation (14); this gives the one-step design of "
+        "remark 4",
     )
     parser.add_argument(
         "--refine",
@@ -95,7 +98,8 @@ def _parser() -> Parser:
     parser.add_argument(
         "--cross-check",
         action="store_true",
-        help="solve (22) and (25) of the paper again with Clarabel, compare the optima, and check that the gains attain them",
+        help="solve the LMI problems (22) and (25) of the paper again with Clarabel, compare the optima, and check that the "
+        "gains attain these optima",
     )
     parser.add_argument(
         "--save", type=Path, metavar="FILE", help="write the vehicle file with each designed gain as controller NAME_designed"
@@ -104,16 +108,16 @@ def _parser() -> Parser:
         "--certificates",
         type=Path,
         metavar="DIR",
-        help="write an LMI certificate of each controller to a folder: its claims as JSON, and programs in Python and JavaScript "
-        "that check them in exact arithmetic without Roadproof",
+        help="write an LMI certificate of each controller to a folder. The folder contains the claims as JSON, and programs in "
+        "Python and JavaScript that check these claims in exact arithmetic without Roadproof",
     )
     parser.add_argument("--prove", action="store_true", help="also prove a bound for each law that the vehicle file contains")
     parser.add_argument(
         "--fragility",
         action="store_true",
-        help="compute how large the errors of measurements and forces may be, in percent, before the loop becomes unstable or "
-        "its norm rises by 1 or 10 %% (proved limit and limit found), and the norm after rounding the law's coefficients to "
-        "int16 or float16",
+        help="compute in percent how large errors of measurements and forces may be before the loop becomes unstable or its "
+        "norm rises by 1 or 10 %% (a proved limit, and a limit found by search); also compute the norm after the law's "
+        "coefficients are rounded to int16 or float16",
     )
     parser.add_argument(
         "--check",
@@ -125,8 +129,8 @@ def _parser() -> Parser:
         "--export",
         type=Path,
         metavar="DIR",
-        help="write one controller to a folder as C99 code with tests, certificate and manifest. FILE.mat: write controllers "
-        "for MATLAB. FILE.fmu: write an FMU, see --part",
+        help="write one controller to a folder as C99 code with tests, certificate and manifest. With a name "
+        "FILE.mat, write controllers for MATLAB. With a name FILE.fmu, write an FMU (see --part)",
     )
     parser.add_argument(
         "--part",

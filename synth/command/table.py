@@ -205,7 +205,10 @@ def limit_text(limit: LowerBound, plant: Plant) -> str:
     free = without_control(plant, limit.limit_at)
     if free <= limit.gamma * (1 + UNCHANGED_NORM):
         return f"{lowest}: no force changes z at {where}."
-    return f"{lowest}: no control lowers the gain to z further at {where}. Without control it is {LOWER_BOUND.digits(free)}."
+    return (
+        f"{lowest}: at {where}, no controller lowers the gain to z further. Without control, this gain is "
+        f"{LOWER_BOUND.digits(free)}."
+    )
 
 
 EXPLANATION = (

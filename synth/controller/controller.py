@@ -258,8 +258,8 @@ def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
             wrong = wrong or f"has a law of shape {one.law.D.shape}"
         if wrong:
             raise InputError(
-                f"controller {one.name!r} {wrong}, so it belongs to another vehicle; this {vehicle.kind.name} has {forces} "
-                f"force(s) and the signals {list_names(outputs)}"
+                f"controller {one.name!r} {wrong}, so this controller belongs to another vehicle; choose one for this "
+                f"{vehicle.kind.name}, which has {forces} force(s) and the signals {list_names(outputs)}"
             )
 
 

@@ -232,9 +232,8 @@ def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignCondition
         of_loads[:, : model.Dw.shape[1]] = model.Dw[rows]
         if vehicle.road_filter is not None and np.any(of_loads[:, : model.Dw.shape[1]]):
             raise InputError(
-                "a measured unsprung_acceleration contains the road's velocity because of tyre_damping, so the "
-                "filter [performance] road cannot apply to this velocity; omit the measurement, tyre_damping or the "
-                "filter"
+                "tyre_damping adds the road's velocity to the measured unsprung_acceleration, but [performance] road "
+                "cannot filter this velocity; omit the measurement, tyre_damping or [performance] road"
             )
     S = np.array([[terms.get(name, 0.0) for name in measured] for terms in integrated.values()]) if integrated else None
     of_heights = rates = None
@@ -373,8 +372,8 @@ def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
         what = f"[performance] weights the integral of {name.removeprefix('integral_of_')}"
         if heights := [signal for signal in terms if signal in model.heights]:
             raise InputError(
-                f"{what}, but {heights[0]} is a height above the datum of a flat road. No law returns this height to "
-                "zero, so it has no norm; weight a sum of deflections instead, which is a height above the road"
+                f"{what}, but {heights[0]} is a height above a fixed datum. No law returns this height to zero, so its "
+                "integral has no norm; weight a sum of deflections instead, because such a sum is a height above the road"
             )
         plain = vehicle.linear_model
         rows = np.array([terms.get(signal, 0.0) for signal in plain.outputs])
@@ -383,7 +382,7 @@ def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
         balanced = balanced / np.maximum(np.abs(balanced).max(axis=0, keepdims=True), np.finfo(float).tiny)
         if np.linalg.matrix_rank(balanced, SINGULAR) < np.linalg.matrix_rank(balanced[:-1], SINGULAR) + 1:
             raise InputError(
-                f"{what}, which no constant force changes. No law can return this integral to zero, so it has no "
+                f"{what}, but no constant force changes this signal. So the integral cannot return to zero, and has no "
                 "norm; weight the integral of a suspension deflection, or use a filter without a pole at 0"
             )
 
@@ -396,13 +395,13 @@ def _check_heights(vehicle: Vehicle, signal: str) -> None:
     model, road = vehicle.linear_model, vehicle.road_filter
     if np.any(model.Br):
         raise InputError(
-            f"[performance] {signal} has no norm, because this {vehicle.kind.name} responds to road warp; give this "
-            "signal the weight 0"
+            f"[performance] {signal} is a height above a fixed datum. Such a height has no norm, because this "
+            f"{vehicle.kind.name} responds to road warp; give this signal the weight 0"
         )
     if road is None or all(above[-1] for above, _ in road.sections):
         raise InputError(
-            f"[performance] {signal} is a height above the datum of a flat road, which can rise without bound, so the "
-            "signal has no norm; give weight 0 to only log it, or give `road` a filter that is 0 at 0 rad/s"
+            f"[performance] {signal} has no norm, because this height above a fixed datum can rise without bound with "
+            "the road; give weight 0 to only log this signal, or give `road` a filter that is 0 at 0 rad/s"
         )
 
 

@@ -219,7 +219,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
     felt = [way for parameter, way in axes.items() if parameter in vehicle.parameters]
     felt += ["twist"] if count > len(felt) else []
     text = f"The disturbance w is the road's velocity under every wheel and the height of the road's {list_names(felt)}"
-    return [f"{text}, of which 1 m counts as {rate} m/s."] if count else []
+    return [f"{text}; 1 m of this height counts as {rate} m/s of road velocity."] if count else []
 
 
 def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
@@ -265,7 +265,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     """Returns notes about a law: instability of the law itself, small margins of its loop, its integral and its anti-windup."""
     margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
     winds = " and winds up when forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
-    notes = [f"this law is unstable by itself (+{rough(margins.growth)} 1/s){winds}"] if margins.growth else []
+    notes = [f"this law is unstable by itself (a state grows at {rough(margins.growth)} 1/s){winds}"] if margins.growth else []
     notes += [margins.own_force] if margins.own_force else []
     notes += [f"WARNING: small {margins.small}"] if margins.small else []
     notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
@@ -325,7 +325,7 @@ def judged_lines(controller: Controller) -> list[str]:
     texts = [FEEDBACK_ALONE] if controller.preview is not None else []
     texts += [f"norm and bounds include noise: an rms of {noise} counts {as_road}"] if noise else []
     if loads:
-        omit = "sampled norms, and norms that sim.sweep measures, do not include loads"
+        omit = "norms of the sampled-data loop, and norms that `roadproof sweep` measures, do not include loads"
         texts.append(f"norm and bounds include loads: {loads} each count {as_road}; {omit}")
     if controller.law.states and controller.law.sample_period is not None:
         texts.append("the law is discrete: norm, bounds and poles are those of its continuous counterpart (Tustin's method)")

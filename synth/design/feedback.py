@@ -123,7 +123,7 @@ def design_feedback(
     for name, value, allowed in (("order", order, (STATIC, FULL)), ("design", design, FEEDBACK)):
         if value is not None and value not in allowed and not (name == "order" and is_order(value)):
             states = f", or a number of states from 0 to {MOST_STATES}" if name == "order" else ""
-            raise InputError(f"{WHERE} {name} = {short_repr(value)} is not known; known: {list_names(allowed)}{states}")
+            raise InputError(f"{WHERE} {name} = {short_repr(value)} is not known; known values: {list_names(allowed)}{states}")
     goals = {"minimise": minimise, "tolerance": tolerance, "structure": structure}
     goals = {name: _plain(value) for name, value in goals.items() if value is not None}
     goals |= {"bounds": _plain(bounds)} if len(bounds) else {}
@@ -144,8 +144,8 @@ def design_feedback(
     by_descent_alone = order != FULL and not of_law and design is None and sample_period is None and not goals and not len(family)
     if largest_gain is not None and not by_descent_alone:
         raise InputError(
-            f"{WHERE} largest_gain applies only to a static gain of the least norm; omit largest_gain, or give goals "
-            'bounds = [{"gain": ...}]'
+            f"{WHERE} largest_gain applies only when a static gain is designed for the least norm; omit largest_gain, or bound "
+            'the gain with bounds = [{"gain": ...}]'
         )
     problem = DesignProblem(
         _with_noise(plant, rms),

@@ -96,7 +96,7 @@ def series(first: StateSpace, second: StateSpace) -> StateSpace:
     if len(first.C) != second.B.shape[1]:
         raise InputError(
             f"a system with {len(first.C)} outputs cannot feed a system with {second.B.shape[1]} inputs; give systems "
-            "with equal numbers"
+            "in which these two numbers are equal"
         )
     n, k = len(first.A), len(second.A)
     return StateSpace(

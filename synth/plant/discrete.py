@@ -124,8 +124,8 @@ def _away_from_minus_one(plant: Plant) -> Array:
     best = max((scale * generator.standard_normal(nothing.shape) for _ in range(MOVES)), key=lost)
     if lost(best) <= LEAST_SINGULAR_VALUE:
         raise InputError(
-            "the plant has a pole at z = -1 that no feedback of the measured signals moves; remove this pole from the model, or "
-            "add an actuator that acts on it or a measurement that contains it"
+            "the plant has a pole at z = -1 that no feedback of the measured signals moves; remove this pole, or add an actuator "
+            "that acts on the mode of this pole, or a measurement that contains this mode"
         )
     return best
 

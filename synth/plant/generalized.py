@@ -102,8 +102,8 @@ class Plant:
             matrix, size = arrays.real_matrix(getattr(self, name), name, LARGEST, str(SHAPES[name]))
             if 0 < size < SMALLEST:
                 raise InputError(
-                    f"{name} has no entry above {SMALLEST:g} (the largest is {size:g}), so it could not be told from 0; give "
-                    f"{name} in other units, or set it to 0"
+                    f"{name} has no entry above {SMALLEST:g} (the largest is {size:g}), so this matrix cannot be distinguished "
+                    f"from 0; give {name} in other units, or set all entries to 0"
                 )
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
@@ -115,14 +115,14 @@ class Plant:
                     f"{name} has shape {matrix.shape}, but must have the shape {shape}: A has {size['n']} row(s), B has "
                     f"{size['m']} column(s), Bw has {size['r']} column(s) and C has {size['d']} row(s)"
                 )
-        for name, count, needed in (("Bw has no columns", size["r"], "a disturbance"), ("C has no rows", size["d"], "an output")):
+        for name, count, needed in (("Bw has no columns", size["r"], "Bw a column"), ("C has no rows", size["d"], "C a row")):
             if not count:
-                raise InputError(f"{name}, so there is no norm from w to z; give {needed}, with zeros if it has no effect")
+                raise InputError(f"{name}, so there is no norm from w to z; give {needed}, which may consist of zeros")
         object.__setattr__(self, "weights", check("weights", self.weights, Index))
         if self.weights > size["n"]:
             raise InputError(
-                f"weights = {self.weights} is the number of states in filters, but the plant has only {size['n']} states; "
-                f"give at most {size['n']}"
+                f"weights is the number of states that belong to filters, and weights = {self.weights} is more than the "
+                f"{size['n']} states of the plant; give at most {size['n']}"
             )
         if self.beyond is not None:
             check_shape("beyond", check("beyond", self.beyond, Array), (size["n"] + size["d"], size["n"]), "as A and C are")

@@ -88,8 +88,8 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Prob
             FEATURES.load("H2 designs").state_rows(problem.plant)
         except DesignError:
             raise InputError(
-                f"controller {entry.name!r}: a preview needs a measured state, and no sensor measures the states of "
-                "filters in [performance]; give constant weights, integrals of deflections, or a different design"
+                f"controller {entry.name!r}: a design with preview must measure all states, but no sensor measures the states "
+                "of filters in [performance]; give constant weights or integrals, or a different design"
             ) from None
     return problem
 

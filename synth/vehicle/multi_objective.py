@@ -130,8 +130,8 @@ def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
     model = vehicle.linear_model
     if pushed := [name for name in names if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
-            f"{where}: {pushed[0]!r} contains the road's velocity because of tyre_damping, so neither its peak nor "
-            "its energy is bounded; omit the signal or tyre_damping"
+            f"{where}: {pushed[0]!r} contains the road's velocity because of tyre_damping, so neither the peak nor "
+            "the energy of this signal is bounded; omit this signal or tyre_damping"
         )
 
 
@@ -140,13 +140,13 @@ def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyB
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
     if np.any(model.Cr[model.outputs.index(bound.energy_peak)]):
         raise InputError(
-            f"{where}: {bound.energy_peak!r} contains the road's height, which the energy of the road's velocity does "
-            "not bound; give a different signal, or bound the peak over a road"
+            f"{where}: {bound.energy_peak!r} contains the road's height. The energy of the road's velocity does not bound "
+            "this height; give a different signal, or bound the peak over a road"
         )
     if any(entry.hardware.noise):
         raise InputError(
             f"{where} bounds an energy_peak, for which noise is not allowed, but [controllers.{entry.name}] has noise "
-            "= true; omit one of them"
+            "= true; omit the bound on the energy_peak, or omit noise"
         )
     _refuse_pushed(where, vehicle, (bound.energy_peak, *entry.measured))
     c, g = measurements(vehicle, [bound.energy_peak], bandwidth)
@@ -167,7 +167,9 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
         choice = choose_road(bound.road)
         road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)
     if choice.loads:
-        raise InputError(f"{where} has loads on the vehicle, but a bound on a peak can cover only the road; omit the loads")
+        raise InputError(
+            f"{where} has loads on the vehicle, but a bound on a peak can account only for the road as input; omit the loads"
+        )
     if road.jumps:
         raise InputError(f"{where} has a vertical edge, at which the road's velocity is infinite; give an edge longer than 0")
     if not np.isfinite(road.duration):

@@ -94,7 +94,7 @@ def test_obstacles(capsys, road):
         (1.0, "The run covers 50 % of the road; --duration 2 covers the whole road"),
         (
             2.5,
-            "the road has points for 2 s of the 2.5-s run. The straight road after that lowers every rms value; "
+            "the road has points for only 2 s of the 2.5-s run. The straight road after its last point lowers every rms value; "
             "--duration 2 ends the run at the road's last point",
         ),
     ],

@@ -99,7 +99,7 @@ def test_the_limit_of_a_mode_that_has_to_be_held_is_no_invariant_point():
     )
 
 
-MERELY = ": no control lowers the gain to z further at {at}. Without control it is {free:.7g}."
+MERELY = ": at {at}, no controller lowers the gain to z further. Without control, this gain is {free:.7g}."
 SAME = ": no force changes z at {at}."
 
 

@@ -134,7 +134,7 @@ def test_runs_by_name(tmp_path):
     assert sky.passed
     car = models.read_vehicle("full_car")
     for given, said in (
-        (designed.controller, "'I' measures 'suspension_deflection', so it belongs to another vehicle"),
+        (designed.controller, "'I' measures 'suspension_deflection', so this controller belongs to another vehicle"),
         (vehicle.controllers["mine"], "'mine' belongs to another vehicle"),
         ("mine", "unknown controller 'mine'"),
     ):

@@ -375,7 +375,7 @@ def test_own_kinds_have_curves_where_they_say_so(tmp_path):
     np.testing.assert_array_equal(found["suspension_velocity"], expected["suspension_velocity"])
 
     (tmp_path / "mine.py").write_text(source.replace('p["c_strut"], weight)', "400.0, weight)"))
-    with pytest.raises(InputError, match="'suspension' has c_strut = 400, but the curve replaces only the value 1750 of the"):
+    with pytest.raises(InputError, match=r"'suspension' has c_strut = 400, but the vehicle file gives 1750\. A curve"):
         build_model(read_vehicle(tmp_path / "mine.toml"), 1e-3)
 
 
@@ -391,8 +391,8 @@ def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
     assert at_rest(smooth) is smooth
     assert at_rest_words(smooth) == ""
     said = (
-        "In these runs, MuJoCo uses straight lines instead of the characteristics of suspension damping, which have a kink at "
-        "equilibrium"
+        "In these runs, MuJoCo uses straight lines instead of the characteristics of suspension damping, because these "
+        "characteristics have a kink at equilibrium"
     )
     assert at_rest_words(rough) == said
     controller = [design(rough, "I")]

@@ -281,7 +281,7 @@ def test_no_second_witness_with_filters(tmp_path):
     """Clarabel is off on (25) with filters, and does not say so: `--cross-check` says in one line that it asks it nothing."""
     file = tmp_path / "felt.toml"
     file.write_text(file_with(WK))
-    with pytest.raises(InputError, match=r"needs a controller that is designed by LMI \(22\) or \(25\) without filters"):
+    with pytest.raises(InputError, match=r"needs a controller that is designed without filters, by LMI \(22\) or \(25\)"):
         main(["--vehicle", str(file), "--controller", "II", "--cross-check"])
 
 

@@ -194,8 +194,8 @@ INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
 @pytest.mark.parametrize(
     ("lines", "more", "said"),
     [
-        ([f"tyre_deflection = {INTEGRAL}"], "", "integral of tyre_deflection, which no constant force changes"),
-        ([f"sprung_displacement = {INTEGRAL}"], "", "sprung_displacement is a height above the datum"),
+        ([f"tyre_deflection = {INTEGRAL}"], "", "integral of tyre_deflection, but no constant force changes"),
+        ([f"sprung_displacement = {INTEGRAL}"], "", "sprung_displacement is a height above a fixed datum"),
         ([PI], '[controllers.p]\nmeasured = ["suspension_deflection"]\nstructure = "pi"\n', "has no state for it"),
         ([PI], '[controllers.e]\nmeasured = ["suspension_deflection"]\norder = "full"\nstable = true\n', "law alone is not"),
         (

@@ -428,7 +428,7 @@ def test_a_height_has_a_norm_where_the_road_has_a_height():
     assert certificate.bound is not None
     assert certificate.norm.value <= certificate.bound < np.inf
     without = parse_vehicle(text.replace("[performance]", "[performance]\nsprung_displacement = 2.0"))
-    with pytest.raises(InputError, match="sprung_displacement is a height above the datum of a flat road"):
+    with pytest.raises(InputError, match="sprung_displacement is a height above a fixed datum"):
         Designer(without).design("I")
 
 
@@ -461,7 +461,7 @@ def test_designs_weigh_banks_and_loads_on_wheels():
     assert controller.certificate.bound >= controller.certificate.norm.value
     assert driven(car, HARD["full_car"], 0.6, "held").passed
     assert "roll_acceleration" not in car.linear_model.measurable  # it has the road's height in it
-    assert "the height of the road's pitch, roll, twist, of which 1 m counts as" in twist_lines(car)[0]
+    assert "the height of the road's pitch, roll, twist; 1 m of this height counts as" in twist_lines(car)[0]
 
 
 @pytest.mark.attack

@@ -162,7 +162,7 @@ def test_a_peak_over_a_road_with_loads_is_refused():
     bound = '{ peak = "suspension_deflection", road = "bump + payload", at_most = 1.0 }'
     text = f"\n[controllers.mine]\n{MEASURED}\nbounds = [{bound}]\n"
     vehicle = parse_vehicle(read_vehicle("quarter_car").text + text)
-    with pytest.raises(InputError, match="has loads on the vehicle, but a bound on a peak can cover only the road"):
+    with pytest.raises(InputError, match="has loads on the vehicle, but a bound on a peak can account only for the road"):
         Designer(vehicle).design("mine")
 
 

@@ -214,7 +214,7 @@ def test_where_every_run_breaks_off_nothing_is_best(tmp_path, capsys):
     assert "no picture is drawn, because no run of the campaign has both ride and tyre load" in prose(complaint)
     assert not (tmp_path / "tuned.png").exists()
     assert "No controller can be compared, because each has a run that ended early." in out
-    assert "each of the 2 candidates has runs that ended early, so it has no ride." in prose(out)
+    assert "each of the 2 candidates has runs that ended early, so no candidate has a ride." in prose(out)
     assert not (tmp_path / "tuned.toml").exists()
 
 

@@ -105,7 +105,7 @@ def test_offsets_and_signs_are_remarked(runs):
 
 def test_without_common_time(runs):
     """A start that leaves no common time is refused."""
-    with refused("covers 60 to 64 s of the run, which takes 4 s"):
+    with refused("covers 60 to 64 s of the run, which lasts 4 s"):
         compare_log(measured(runs[1], np.arange(4001) * 1e-3, 0.0), runs, start=-60.0)
 
 

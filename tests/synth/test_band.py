@@ -170,5 +170,5 @@ def test_a_huge_gain_has_its_digits_in_a_band():
 @pytest.mark.parametrize(("low", "high"), [(-1.0, 2.0), (2.0, 2.0), (1.0, np.nan), (np.inf, np.inf)])
 def test_what_is_no_band(low, high):
     """A band begins at 0 or above, and ends above that; else one line says so."""
-    with pytest.raises(InputError, match="rad/s is not a frequency band; give low of at least 0, and high above low"):
+    with pytest.raises(InputError, match="rad/s do not form a frequency band; give a low of at least 0, and a high above low"):
         norm_in_band(oscillator(1.0, 0.1), low, high)

@@ -166,7 +166,7 @@ def test_more_errors_than_corners_are_looked_at():
     assert text.startswith(
         f"stability is proved for each error up to {100 * found.stable.proved_margin:.4g} % (multipliers, computed twice)"
     )
-    assert f"errors of {100 * found.within[0.01].smallest_violation:.4g} % violate it" in text
+    assert f"errors of {100 * found.within[0.01].smallest_violation:.4g} % violate this bound" in text
 
 
 def test_rounding():

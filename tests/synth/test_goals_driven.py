@@ -101,7 +101,7 @@ def test_a_log_claims_nothing_of_goals(vehicles, tmp_path, capsys):
     assert inspect([str(log), "-v"]) == 0
     printed = prose(capsys.readouterr().out)
     assert printed.count("goals note: the log does not prove the controller's goals in vehicle.toml (bounds); check") == 1
-    assert printed.endswith("the log still proves what it claims; it makes no claim about goals")
+    assert printed.endswith("the log still proves what it claims; the log makes no claim about goals")
     assert inspect([str(log), "--json"]) == 0
     runs = json.loads(capsys.readouterr().out)["runs"]
     parts_of = {run["name"]: [finding["part"] for finding in run["findings"]] for run in runs}

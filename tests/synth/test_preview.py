@@ -312,7 +312,7 @@ def test_a_forged_preview_is_found(log, forged, said):
 def test_a_filter_has_states_that_none_measures():
     """A filtered weight, or road, is refused in a line about previews."""
     text = car().text.replace("[performance]", "[performance]\nroad = { numerator = [1.0], denominator = [1.0, 5.0] }", 1)
-    with refused("a preview needs a measured state", "give constant weights"):
+    with refused("a design with preview must measure all states", "give constant weights"):
         Designer(parse_vehicle(text)).design("ahead")
 
 

@@ -82,7 +82,7 @@ def test_what_is_only_asked_for_ends_no_run(wound_up):
 def test_a_law_that_is_unstable_by_itself_is_called_so(wound_up):
     """Design and runs say the rate at which such a law grows, and that it winds up where forces are clipped, and only there."""
     vehicle, controller, _ = wound_up
-    said = "this law is unstable by itself (+30 1/s)"
+    said = "this law is unstable by itself (a state grows at 30 1/s)"
     row = Row(controller.name, controller, (), ())
     for lines in (controller_notes(vehicle, controller), [one.text for one in details(vehicle, row).statements]):
         assert [line.strip() for line in lines if said in line] == [

@@ -282,7 +282,9 @@ def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
         yield Statement(f"{name} left the linear regime: {join_words([*one.ended])}.")
     if one.drift > STEADY:
         drift, period = SHARE.text(one.drift), HERTZ.text(HZ * one.omega[0])
-        yield Statement(f"The run with {name} has not settled: a fundamental changed by {drift} in one period of {period}.")
+        yield Statement(
+            f"The run with {name} has not settled: the fundamental of a signal changed by {drift} in one period of {period}."
+        )
     yield Statement(f"On other roads, or at other heights, the describing function of {name} can differ.", detail="full")
 
 

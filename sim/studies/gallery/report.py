@@ -38,7 +38,7 @@ def describe(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
     text = [" ".join(filter(None, origin))]
     text += dict.fromkeys(f"Reason for a difference: {one.printed.reason}." for one in numbers if one.verdict == DIFFERS)
     text += ["Numbers in brackets follow from data or a formula of the source."] * any(one.printed.derived for one in numbers)
-    text += [f"Not expressible in a vehicle file: {one.what}: {one.why}." for one in entry.missing]
+    text += [f"A vehicle file cannot express this published result: {one.what}. Reason: {one.why}." for one in entry.missing]
     shown = [field for field in NUMBERS if field.key != "grid" or any(one.grid is not None for one in numbers)]
     tables = [Table.of(f"gallery-{entry.name}", "Published numbers and computed numbers.", shown, numbers, 2)] if numbers else []
     return Document(entry.title, (*(Statement(one, "fails") for one in fails), *notes(*text), *tables))

@@ -150,7 +150,7 @@ def _lines(
         yield 'heights = "held"      # constant during each step, as in a log of roadproof drive'
         yield 'forces = "held"'
     if not timed:
-        yield "rate = 100.0          # samples per second; correct this number, because no heading names the time"
+        yield "rate = 100.0          # samples per second, guessed, because no heading names the time; correct this number"
     for signal, guesses in sections.items():
         yield ""
         yield f"[signals.{signal}]  # {units[signal]}"

@@ -42,7 +42,11 @@ examples:
 
     def add_options(self, parser: Parser) -> None:
         parser.add_argument(
-            "files", nargs="*", type=Path, metavar="LOG", help="measured log, or a log that bump or drive wrote (.mcap)"
+            "files",
+            nargs="*",
+            type=Path,
+            metavar="LOG",
+            help="measured log, or a log that the command bump or drive wrote (.mcap)",
         )
         parser.add_argument("--vehicle", default="quarter_car", metavar="FILE", help="vehicle file with initial values")
         parser.add_argument("--signals", type=Path, metavar="MAP", help="map of columns to signals (TOML)")

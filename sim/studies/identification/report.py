@@ -167,10 +167,15 @@ def statements(of: Identification) -> Iterator[Statement]:
     for name in estimate.undetermined:
         one = of.intervals.get(name)
         if one and (one.low is None or one.high is None):
-            yield Statement(f"{name} is not determined in practice: its interval is open.", "ends")
+            yield Statement(
+                f"{name} is not determined in practice: its confidence interval has no lower end or no upper end.", "ends"
+            )
         elif one and one.low is not None and one.high is not None and one.high > FAR_APART * one.low:
             factor = rough(one.high / one.low)
-            yield Statement(f"{name} is not determined in practice: its interval extends over a factor of {factor}.", "ends")
+            yield Statement(
+                f"{name} is not determined in practice: the ends of its confidence interval differ by a factor of {factor}.",
+                "ends",
+            )
     if of.mirror:
         values = ", ".join(f"{name} {entry(of.mirror[name])}" for name in of.mirror if name in estimate.free)
         yield Statement(
@@ -190,8 +195,8 @@ def statements(of: Identification) -> Iterator[Statement]:
         yield Statement("The residuals are white: the vehicle explains all that the sensors show beyond their noise.", "holds")
     elif noisy:
         yield Statement(
-            "The residuals are not white: the vehicle lacks something that the logs contain. The intervals account for "
-            "coloured residuals, but they cannot account for a bias.",
+            "The residuals are not white: the vehicle model lacks something that the logs contain. The intervals account "
+            "for coloured residuals, but not for a bias that the missing part causes.",
             "fails",
         )
     for cause in of.causes[:3]:
@@ -242,7 +247,10 @@ def describe_plans(each: Sequence[ChirpPlan]) -> Document:
     """Describes plans of a rig test: the chirps, and the standard deviation of each parameter with the best chirp."""
     best = each[0]
     rows = [f"{name} {SHARE.text(one)}" if one < inf else f"{name} not determined" for name, one in best.deviations.items()]
-    caption = "chirps for the posts of a rig, each with the largest relative standard deviation of any parameter"
+    caption = (
+        "chirps for the posts of a rig; for each chirp, the relative standard deviation of the parameter that the chirp "
+        "determines worst"
+    )
     return Document(
         "Plan",
         (
@@ -307,7 +315,10 @@ def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
     replaced += [Replacement(("parts", part, key), {key: values[f"{part}.{key}"]}) for part, key in paths]
     text = with_replacements(start.text, replaced)
     intervals = {row.name: [row.low or 0.0, row.high or 0.0] for row in rows if row.value is not None}
-    held = {name: "not determined: the logs give only its products with other parameters" for name in estimate.structure.held}
+    held = {
+        name: "not determined: the logs give only products of this parameter with other parameters"
+        for name in estimate.structure.held
+    }
     held |= {name: SILENT for name in estimate.structure.silent}
     content: dict[str, Any] = {
         "intervals": intervals,

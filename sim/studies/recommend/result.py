@@ -178,7 +178,7 @@ def verdict(result: Recommendation, best: RankedContender | None) -> Statement:
     """Returns a sentence with the recommendation."""
     task, what = result.task, WORDS[result.task.goal]
     if best is None:
-        return Statement(f"No candidate has a better {what} than the passive vehicle within the limits.", "ends", "brief")
+        return Statement(f"No candidate within the limits has a better {what} than the passive vehicle.", "ends", "brief")
     column, relative = COLUMNS[GOALS[task.goal]], result.change(best)
     number = f"{three_digits(column.scale * best.rating.value(task))} {column.unit}".rstrip()
     number += "" if relative is None else f", {CHANGED.text(relative)} from passive"

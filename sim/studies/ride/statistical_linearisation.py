@@ -331,18 +331,22 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     )
     if rest is not None and rest.sharp:
         accuracy = (
-            f"The straight lines do not explain {percent(rest.share)} of the variance of a force, so expected accelerations "
-            "are computed from these lines alone. "
+            f"The straight lines do not explain {percent(rest.share)} of the variance of a force, because its curve is sharp. "
+            "Expected accelerations are therefore computed without second-order remainders. "
         )
-        friction = "As with friction, rms is accurate to within 3 %, and dynamic load is up to 8 % too low"
+        friction = (
+            "As for all sharp curves, such as those of friction, rms is accurate to within 3 %, and dynamic load is up to 8 % "
+            "too low"
+        )
     else:
         friction = "With friction, rms and dynamic load are accurate to 4 %"
     return [
         f"Expected values use statistical linearisation {'with' if line.remainder else 'without'} second-order remainders. "
-        f"Slopes of the straight lines that replace curves on this road: {'; '.join(slopes)}.{note}",
+        "On this road, the straight lines that replace the curves of springs and dampers have these slopes: "
+        f"{'; '.join(slopes)}.{note}",
         f"{accuracy}{friction}; vdv can be up to 10 % too high, and crest up to 35 %. If wheels leave the ground, vdv can be "
-        "up to 8 % too high; crest, travel and forces can be up to 15 % too high, or up to 20 % if wheels are in the air for "
-        "a fifth of the time.",
+        "up to 8 % too high, and crest, travel and forces up to 15 %. If wheels are in the air for a fifth of the time, crest, "
+        "travel and forces can be up to 20 % too high.",
     ]
 
 

@@ -160,7 +160,10 @@ def describe(found: StabilityMargins) -> Document:
     loops += [(f"{name}, ideal" if found.implemented_loops else name, one) for name, one in found.loops.items() if name]
     texts = loop_texts(vehicle)
     if _fixed_period(found):
-        texts.append("The law is discrete. The margins are those of the continuous law with the same Tustin transform.")
+        texts.append(
+            "The law is discrete. The margins are those of the continuous law that Tustin's transform turns into this discrete "
+            "law."
+        )
     texts += ["The margins are those of the feedback; preview does not change them."] * (controller.preview is not None)
     blocks: list[Table | Document] = [Table.of("margins", "Margins.", MARGINS, _rows(found))]
     blocks += [Table.of("loops", "Margins of each loop.", LOOPS, loops)] if loops else []

@@ -73,7 +73,7 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
         raise InputError(f"--vary {axes[0].name} is given twice; vary two different quantities of {list_names(UNITS)}")
     count = math.prod(len(axis.values) for axis in axes)
     if count > MOST_CELLS:
-        raise InputError(f"the map has {count} cells, but at most {MOST_CELLS} are allowed; give fewer points")
+        raise InputError(f"the map has {count} cells, but at most {MOST_CELLS} are allowed; give fewer points on the axes")
     return tuple(axes)
 
 

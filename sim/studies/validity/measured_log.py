@@ -204,8 +204,8 @@ def compare_log(
     several = [until_end(run) for run in runs]
     if min(len(one.time) for one in several) < LEAST:
         raise InputError(
-            f"measured log {log.source}: one run stopped at its first time step, so it cannot be compared with the "
-            "log; omit the controller of that run"
+            f"measured log {log.source}: one run stopped at its first time step, so this run cannot be compared with "
+            "the log; omit the controller whose run stopped"
         )
     given = start is not None
     starts = [(start, ())] * len(runs) if start is not None else [_best_start(log, one) for one in several]
@@ -218,8 +218,9 @@ def compare_log(
     if not finite.any(axis=0).all():
         first, last = (float(log.time[i] - at) for i in (0, -1))
         raise InputError(
-            f"measured log {log.source}: a signal of the log has no value during the run. The log covers {first:.4g} "
-            f"to {last:.4g} s of the run, which takes {run.time[-1]:.4g} s; give a different start of the log"
+            f"measured log {log.source}: a signal of the log has no value at any time of the run. The log covers "
+            f"{first:.4g} to {last:.4g} s of the run, which lasts {run.time[-1]:.4g} s; give a different start time "
+            "with --beside-start"
         )
     offsets = {name: one.offset for name, one in fits(response, run).items()} if remove_offsets else {}
     moved = replace(response, values=response.values - [offsets.get(name, 0.0) for name in response.names])

@@ -117,12 +117,15 @@ def describe(cells: Cells) -> Document:
     ]
     if np.any(cells.predicted == END_NAMES.index(CURVE.name)):
         off = f"{100 * LEAVES:g} % of its largest force"
-        texts.insert(0, f"A curve is a limit if the force of a spring or damper differs from its linearisation by {off}.")
+        texts.insert(
+            0, f"The curve of a spring or damper counts as a limit as soon as the force differs from its linearisation by {off}."
+        )
     if away := cells.share(lambda one: one.broke_off == LAW_OVERFLOW):
         texts.append(f"In {SHARE.text(away)} of these runs, the states of the law overflow, so the law requests no finite force.")
     if cells.short:
         texts.append(
-            f"Linear analysis is not valid at any height: {cells.short}. The limits in the map are predicted with these dampers."
+            f"Linear analysis is not valid at any height: {cells.short}. The limits in the map are predicted with the "
+            "semi-active dampers."
         )
     parts = Document("", notes(*_loop_texts(cells))), edge_document(cells), Document("", (table, *notes(*texts)))
     return Document("", apart(*parts, *verdicts([cells])))
@@ -226,8 +229,11 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
         which = NONLINEAR if vehicle.parts.nonlinear else "analysis"
         text += f"and {which} is within {off} of every peak. Over the higher bumps, this limit is reached."
     statements = [*([Statement(text, "holds")] if heights else []), *(Statement(one, "fails") for one in failed)]
-    note = f"One linear run of the implemented loop{noise} predicts the height. Each run lasts {runs}."
-    caption = "Height of a bump up to which no limit is reached: predicted, and the two MuJoCo runs that enclose it."
+    note = f"One linear run of the implemented loop{noise} predicts the height of the first limit. Each run lasts {runs}."
+    caption = (
+        "Height of a bump up to which no limit is reached: the prediction, and the heights of the two MuJoCo runs that enclose "
+        "this limit."
+    )
     table = Table.of("regime", caption, ENDS, ends, words=2)
     return Document("Range of linear analysis over bumps", (*statements, *notes(note), table))
 

@@ -170,8 +170,8 @@ def exported_law(
         )
     if not all(damper.replaces for damper in vehicle.dampers.values()):
         raise InputError(
-            "dampers of [parts] with largest_voltage cannot be exported, because no sensor measures their states; "
-            "omit largest_voltage, or give [actuators] with c_min and c_max"
+            "dampers in [parts] with largest_voltage cannot be exported, because no sensor measures the states of these "
+            "dampers; omit largest_voltage, or give [actuators] with c_min and c_max"
         )
     if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.parts.adjustable):
         raise InputError("semi-active dampers with curves c_min and c_max cannot be exported; give c_min and c_max as numbers")

@@ -255,7 +255,8 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyContro
     other = [f"{name} = {value} instead of {ours.get(name)}" for name, value in theirs.items() if value != ours.get(name)]
     if other:
         raise InputError(
-            f"--as {folder} contains code for a vehicle with {other[0]}; export controller {driver.name!r} of this vehicle"
+            f"--as {folder} contains code for a different vehicle, with {other[0]}; export controller {driver.name!r} of the "
+            "vehicle of this run"
         )
     if not is_law_of(law, vehicle, driver):
         raise InputError(

@@ -50,7 +50,10 @@ class Refinement:
         text += f"largest gain multiplied by {brief(self.growth)}"
         if self.refused_stage is not None:
             bought, growth = self.refused_stage
-            text += f"; not accepted: a further {percent(bought)} decrease of {self.what}, at {brief(growth)} times the gain"
+            text += (
+                f"; a further decrease of {self.what} by {percent(bought)} was not accepted, because this decrease needs "
+                f"{brief(growth)} times the gain"
+            )
         return text
 
 

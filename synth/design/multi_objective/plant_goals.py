@@ -76,8 +76,8 @@ def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Pla
         if any(getattr(plant, name).shape != getattr(first, name).shape for name in MATRICES) or plant.dt != first.dt:
             has, expected = ([f"{name} {getattr(one, name).shape}" for name in MATRICES] for one in (plant, first))
             raise InputError(
-                f"{where} family[{i}] has the shapes {list_names(has)}, and dt = {plant.dt}; give the shapes and the "
-                f"dt of the plant: {list_names(expected)}, and dt = {first.dt}"
+                f"{where} family[{i}] has the shapes {list_names(has)}, and dt = {plant.dt}, but must have the shapes "
+                f"and the dt of the plant; give {list_names(expected)}, and dt = {first.dt}"
             )
     measured, forces, outputs = (
         _names(letter, count) for letter, count in zip("yuz", (len(first.Cy), *first.D.T.shape), strict=True)
@@ -91,7 +91,8 @@ def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Pla
     goals = read(where, Goals, {**section, **family}, measured=measured, **names)
     if goals.tolerance != goals.goals.tolerance:
         raise InputError(
-            f"{where} a tolerance with a weight is allowed only for vehicles; give a largest relative error (0.1 is 10 %)"
+            f"{where} a tolerance with a weight is allowed only for vehicles; give the tolerance as one number, the largest "
+            "relative error (0.1 is 10 %)"
         )
     if any(isinstance(bound, PeakBound) for bound in goals.bounds):
         raise InputError(

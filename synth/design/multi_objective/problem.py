@@ -165,14 +165,15 @@ class MultiObjectiveProblem(CheckedFields):
             given = getattr(self, name)
             if given is not None and any(len(given) != count for count in members):
                 raise InputError(
-                    f"{name} has {len(given)} numbers; give {members[0]} numbers, one for each peak or member of the family"
+                    f"{name} has {len(given)} numbers; give {members[0]} numbers: one for each peak, or one for each member "
+                    "of the family"
                 )
         fewest = min(len(member.plants) for member in self.members)
         for goal in (self.minimise, *self.norms):
             if goal.which >= fewest:
                 raise InputError(
-                    f"norm {goal.name!r} has which = {goal.which}, the index of a plant, but one member of the family has "
-                    f"only {fewest} plants; give a smaller index"
+                    f"norm {goal.name!r} applies to the plant with the index which = {goal.which}, but one member of "
+                    f"the family has only {fewest} plants; give a smaller index in which"
                 )
 
     @property

@@ -284,7 +284,7 @@ def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[
     """Describes the fragility of a law in one sentence."""
     found, errors, proved = report.stable.smallest_violation, errors_text(report.stable, measured, forces), proved_text(report)
     if not math.isfinite(found):
-        return f"fragility: no errors of {whose(report)} up to 100 % were found that make the loop unstable; {proved}"
+        return f"fragility: the search found no errors of {whose(report)} up to 100 % that make the loop unstable; {proved}"
     return f"fragility: {_percents(found)} errors of {whose(report)} ({errors}) make the loop unstable; {proved}"
 
 
@@ -292,8 +292,10 @@ def proved_text(report: Fragility) -> str:
     """Returns the proved margins of gain errors as text."""
     text = f"stability is {_proved_text(report.stable, 'each error')}"
     for share, one in report.within.items():
-        beyond = f"; errors of {_percents(one.smallest_violation)} violate it" if math.isfinite(one.smallest_violation) else ""
-        text += f"; a norm at most {_percents(share)} higher is {_proved_text(one, 'errors')}{beyond}"
+        beyond = (
+            f"; errors of {_percents(one.smallest_violation)} violate this bound" if math.isfinite(one.smallest_violation) else ""
+        )
+        text += f"; a rise of the norm by at most {_percents(share)} is {_proved_text(one, 'errors')}{beyond}"
     return text
 
 

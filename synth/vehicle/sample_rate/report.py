@@ -50,7 +50,10 @@ def describe(costs: Sequence[Cost], lag: str = "") -> Document:
     texts = statements((name, "the norm describes the feedback without the preview") for name in alone)
     plain = lag and any(one.controller.hardware.bandwidth is None for one in costs)
     texts += [*notes(*(about(costs[0], lag if plain else "", "designed" in kinds) for _ in costs[:1]))]
-    caption = "The slowest sample rate with little loss, the change of the norm at this rate, and the highest unstable rate."
+    caption = (
+        "The slowest sample rate at which the norm rises only a little, the change of the norm at this rate, and the highest "
+        "sample rate at which the loop is unstable."
+    )
     tables = [_table(one, lag, "normal" if len(costs) <= FEW else "full") for one in costs]
     return Document("Sample rates", (Table.of("rates", caption, fields, costs, detail="brief"), *texts, *tables))
 

@@ -145,8 +145,8 @@ def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
     }
     if not weights:
         raise InputError(
-            f"--front {axis} needs a weighted acceleration, but [performance] gives no acceleration a weight; give one a "
-            f"weight in [performance], or omit {axis}"
+            f"--front {axis} needs a weighted acceleration, but [performance] weights no acceleration; give an "
+            f"acceleration a weight in [performance], or omit {axis}"
         )
     return weights
 

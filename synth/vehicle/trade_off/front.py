@@ -162,10 +162,11 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
     entry = vehicle.controllers.get(name)
     why = ""
     if entry is None:
-        why = "it measures nothing" if name == "passive" else "this vehicle has no controller of that name"
+        why = "the passive vehicle measures nothing" if name == "passive" else "this vehicle has no controller of that name"
     if why or entry is None:
         raise InputError(
-            f"--front cannot design static gains like {name!r}: {why}; give a different controller with --controller"
+            f"--front cannot design static gains from the measurements of {name!r}: {why}; give a different controller with "
+            "--controller"
         )
     check_command(f"controller {name!r}", entry.parts, "front")
     if vehicle.integrals:

@@ -205,8 +205,8 @@ def spectral_statement(of: Estimate) -> Statement:
         )
     names = {name for each in of.whiteness for name, one in each.items() if not one.white}
     return Statement(
-        f"The spectra of {list_names(names)} are not as expected: the vehicle lacks something, or the road has another spectrum. "
-        "The intervals account for a wrong scatter of the spectra, but they cannot account for a bias.",
+        f"The spectra of {list_names(names)} are not as expected: the vehicle model lacks something, or the road has a different "
+        "spectrum. The intervals account for spectra that scatter more or less than expected, but not for a bias.",
         "fails",
     )
 
