@@ -158,7 +158,7 @@ def test_a_source_with_a_grid(tmp_path, mine, capsys):
     assert peak["exact"] > peak["grid"] == pytest.approx(np.abs(seen).max(), rel=1e-9)
     assert rms["grid"] == pytest.approx(np.sqrt(np.mean(seen**2)), rel=1e-9)
     mine(f"{text}grid = 1e-6\n", "7.09", "afc_replication")
-    with pytest.raises(InputError, match="grid = 1e-06 s of peak is not allowed"):
+    with pytest.raises(InputError, match="grid = 1e-06 s is not allowed for what = peak"):
         main(["mine"])
 
 

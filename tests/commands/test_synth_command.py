@@ -366,7 +366,7 @@ def test_nothing_is_added_to_an_inline_table(tmp_path, monkeypatch, option):
 @pytest.mark.parametrize(
     ("certificate", "message"),
     [
-        ("norms = 1.0", "unknown key 'norms' in a certificate"),
+        ("norms = 1.0", "a certificate has the unknown key 'norms'"),
         ("X = [[1.0, 2.0]]", "is not a matrix of shape"),
         ("state = { X = [[1.0]], eta = 1.0 }", "a certificate does not fit the vehicle"),
     ],

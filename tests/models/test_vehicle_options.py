@@ -428,7 +428,7 @@ def test_a_height_has_a_norm_where_the_road_has_a_height():
     assert certificate.bound is not None
     assert certificate.norm.value <= certificate.bound < np.inf
     without = parse_vehicle(text.replace("[performance]", "[performance]\nsprung_displacement = 2.0"))
-    with pytest.raises(InputError, match="sprung_displacement is a height above a fixed datum"):
+    with pytest.raises(InputError, match="sprung_displacement has no norm, because this height above a fixed datum can rise without bound"):
         Designer(without).design("I")
 
 
