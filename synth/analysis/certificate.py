@@ -55,7 +55,7 @@ from synth.plant.units import speed
 
 if TYPE_CHECKING:
     from models.document.figure import Figure
-    from synth.analysis.lower_bound import LowerBound
+    from synth.analysis.lower_bounds.lower_bound import LowerBound
 
 
 # The module of the class LowerBound is imported only where the class is used.

@@ -17,8 +17,8 @@ from models.vehicle.controllers import NOMINAL
 from models.vehicle.names import without_copies
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate, LmiProof
-from synth.analysis.invariant_point import UNCHANGED_NORM, is_pole, without_control
-from synth.analysis.lower_bound import LowerBound, SampledBound
+from synth.analysis.lower_bounds.invariant_point import UNCHANGED_NORM, is_pole, without_control
+from synth.analysis.lower_bounds.lower_bound import LowerBound, SampledBound
 from synth.analysis.record import SAMPLED_BOUND, bound_record, to_record
 from synth.analysis.specification import SampledNorm
 from synth.analysis.stability import MARGINAL

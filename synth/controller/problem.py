@@ -41,7 +41,7 @@ from synth.plant.state_space import StateSpace
 
 if TYPE_CHECKING:
     from models.laws.filter import Filter
-    from synth.analysis.lower_bound import LowerBound
+    from synth.analysis.lower_bounds.lower_bound import LowerBound
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from models.laws.goals import REGRET
 from models.laws.law_structure import StructureSection
 from models.laws.linear import MOST_STATES, LinearLaw
 from synth.analysis.certificate import Certificate
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem, hold_intervals
 from synth.analysis.stability import stabilisability_failures
 from synth.design.methods import design as designed

@@ -190,9 +190,8 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: K
     """
     problem, measured = well_posed(plant), plant.measured(np.eye(len(plant.A)))
     if problem.best is not None:
-        from synth.analysis.bounding import certify_tightly
-
-        return _result(problem.best, certify_tightly(plant, problem.best, lower_bound), case=problem.best_case)
+        certificate = FEATURES.load("bounds by Riccati equations").certify_tightly(plant, problem.best, lower_bound)
+        return _result(problem.best, certificate, case=problem.best_case)
     return replace(last_certified_gain(measured, path or state_path(plant), lower_bound), case=problem.case)
 
 
@@ -226,11 +225,9 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
         return next(design for design in beyond if design.certificate.speed_up <= FASTEST * slowest)
     if first is None:
         raise DesignError("its certificate fails: the path has no point")
-    from synth.analysis.bounding import certify_tightly
-
     # The matrix X of the path may be too close to singular for a proof in floating point, for example with 40 states. Another X
     # may still prove a bound.
-    another = certify_tightly(plant, Feedback(path[-1].K, plant.Cy), lower_bound)
+    another = FEATURES.load("bounds by Riccati equations").certify_tightly(plant, Feedback(path[-1].K, plant.Cy), lower_bound)
     if another.bound is not None and not another.failures:
         return _result(path[-1].K, another)
     raise DesignError(f"its certificate fails: {'; '.join(first.loop_failures)}")
@@ -286,11 +283,10 @@ def two_step_design(
         G = problem.best * units.states
         on_rows = G @ rows.T
         if np.linalg.norm(on_rows @ rows - G) <= SAME * np.linalg.norm(G):
-            from synth.analysis.bounding import certify_tightly
-
             K = np.linalg.solve(measured.T, on_rows.T).T
-            best = _result(K, certify_tightly(independent, Feedback(K, independent.Cy), lower_bound), case=problem.best_case)
-            return with_redundant_rows(best, kept, q, 0.0)
+            riccati = FEATURES.load("bounds by Riccati equations")
+            certificate = riccati.certify_tightly(independent, Feedback(K, independent.Cy), lower_bound)
+            return with_redundant_rows(_result(K, certificate, case=problem.best_case), kept, q, 0.0)
     fits(unknowns(problem.plant), MOST, "the two-step method")
     path = path or state_path(plant, states)
     own, Q = units.into(problem.plant).measured(rows), nullspace(rows)

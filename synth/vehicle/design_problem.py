@@ -22,7 +22,7 @@ from synth.plant.numerics import DesignError
 
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
-    from synth.analysis.lower_bound import LowerBound
+    from synth.analysis.lower_bounds.lower_bound import LowerBound
 
 STATE_ALONE = (
     "states of filters are not measured: this static gain uses the states of the vehicle only and is designed as an output "
@@ -96,8 +96,7 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Prob
 
 def certify_ideal_loop(problem: Problem, lower_bound: "LowerBound") -> Callable[[LinearLaw], Certificate]:
     """Returns a function that certifies, for the ideal loop, a control law that acts on the measurements."""
-    from synth.analysis.bounding import certify_tightly
-
+    certify_tightly = FEATURES.load("bounds by Riccati equations").certify_tightly
     return lambda law: certify_tightly(*problem.closed_loop(law), lower_bound, plant_without_law=problem.plant)
 
 

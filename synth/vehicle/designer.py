@@ -33,7 +33,7 @@ from synth.plant.numerics import DesignError
 from synth.vehicle.design_problem import controller_of, design_problem
 
 if TYPE_CHECKING:
-    from synth.analysis.lower_bound import LowerBound, SampledBound
+    from synth.analysis.lower_bounds.lower_bound import LowerBound, SampledBound
     from synth.vehicle.refined import RefinedController
 
 

@@ -11,7 +11,7 @@ from models.laws.linear import static_law
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.bounding import certify_law
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.controller.controller import Controller
 from synth.controller.problem import Problem
 from synth.design.descent.refine import SEEN, Refinement, from_some, refine, worth_refining

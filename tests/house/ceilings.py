@@ -110,8 +110,8 @@ two steps, LMI path                                            2911   1013    15
     tests/*/test_{central,paper,slicot,structured,two_steps_of_any_plant}.py
     docs/explanation/{control-problem,reproduce-the-paper}.md
 certificates, norms, lower bounds                              3674   2294     47
-    synth/analysis/{__init__,band_norm,bounding,certificate,energy_to_peak,interpolation,invariant_point,lower_bound,norm,record}.py
-    synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
+    synth/analysis/{__init__,band_norm,bounding,certificate,energy_to_peak,norm,record,rigorous,specification,stability}.py
+    synth/analysis/lower_bounds/* synth/command/check.py tests/support/exactly.py
     tests/*/test_{certificate,exact_proofs,false_certificates,lower_bound,no_controller*,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
 plant algebra, filters, any plant                              3311   2128    330

@@ -127,7 +127,7 @@ CORE = {  # package -> its modules that are core
     "sim.runs": "agreement record report result run",
     "sim.studies.ride.kinds": "standard",
     "sim.studies.ride": "metrics score_table scores weighting",
-    "synth.analysis": "bounding certificate norm rigorous specification stability",
+    "synth.analysis": "certificate norm rigorous specification stability",
     "synth.controller": "controller disk_margin law_margins loop_of problem report",
     "synth.design": "methods problem two_step",
     "synth.lmi": "barrier central_path output_nulling unknowns",

@@ -16,7 +16,7 @@ from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.studies.stability.study import check_loop
 from synth.analysis.certificate import FASTEST
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
 from synth.command.table import Row, answers
 from synth.controller.report import pid_line, sign_note

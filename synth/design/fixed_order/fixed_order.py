@@ -30,7 +30,7 @@ from models.laws.law_structure import FILTER, GAINS, ITS_GAINS, pid_tables
 from models.laws.linear import FEWER, LinearLaw
 from synth.analysis.bounding import certify_law
 from synth.analysis.certificate import FASTEST, Certificate
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import stabilisability_failures
 from synth.design.descent.landscape import Work
