@@ -126,6 +126,8 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "semi-active coefficients": "models.vehicle.semi_active_coefficients",
         "discrete plants": "synth.plant.discrete",
         "bounds by Riccati equations": "synth.analysis.bounding",
+        "norms with twice the precision": "synth.analysis.twice_precision",
+        "obstacles to stabilisation": "synth.analysis.stabilisability",
         "zeros": "synth.analysis.lower_bounds.interpolation",
         "sampled norm": "synth.analysis.sampled_norm",
         "exported code": "synth.controller.export.folder",

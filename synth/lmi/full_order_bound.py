@@ -21,7 +21,8 @@ from synth.analysis.lower_bounds.invariant_point import invariant_limit, limit_a
 from synth.analysis.lower_bounds.lower_bound import CouplingMatrix, DualCertificate, LowerBound, prove_from_inequalities
 from synth.analysis.lower_bounds.synthesis_inequality import SynthesisInequality
 from synth.analysis.rigorous import floats
-from synth.analysis.stability import pole_text, uncontrollable_modes
+from synth.analysis.stabilisability import uncontrollable_modes
+from synth.analysis.stability import pole_text
 from synth.lmi.barrier import Barrier, Block, boundary, newton
 from synth.lmi.central_path import CENTRE_DECREMENT, INSIDE, CentralPoint, along_path
 from synth.plant.generalized import Plant
