@@ -103,6 +103,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "seats": "models.kinds.seated_kind",
         "vehicle types in Python": "models.kinds.user_kind",
         "anti-windup": "models.laws.anti_windup",
+        "combinations of options": "models.laws.combinations",
         "PID laws": "models.laws.law_structure",
         "preview": "models.laws.preview",
         "damper ranges": "models.parts.damper_range",

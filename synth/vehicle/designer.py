@@ -15,7 +15,6 @@ import numpy as np
 from models.common.checks import AT_LEAST_ONE, check_arguments
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
-from models.laws.combinations import check_command, goes
 from models.laws.design_request import DesignRequest
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
@@ -226,7 +225,7 @@ class Designer:
         if entry.law is not None:
             return self._given(entry, entry.law)
         if zero_l:
-            check_command(f"controller {entry.name!r}", entry.parts, "zero_l")
+            FEATURES.load("combinations of options").check_command(f"controller {entry.name!r}", entry.parts, "zero_l")
         plant_problem = self.problem(entry.measured, entry.hardware)
         try:
             lower_bound = self._later_bound(entry)
@@ -341,7 +340,7 @@ class Designer:
             raise InputError(
                 f"controller {name!r} measures nothing, so it has no gain to refine; give a controller with measurements"
             )
-        check_command(f"controller {entry.name!r}", entry.parts, "refine", DesignError)
+        FEATURES.load("combinations of options").check_command(f"controller {entry.name!r}", entry.parts, "refine", DesignError)
         if self.vehicle.integrals:
             raise DesignError(f"controller {entry.name!r}: [performance] weights an integral, {NOT_REFINED}")
         try:
@@ -361,7 +360,7 @@ class Designer:
             not controller.designed
             or controller.sampled  # a design for the sampled-data loop has already been refined
             or not controller.measured
-            or not goes("refine", self._entry(controller.name).parts)
+            or not FEATURES.load("combinations of options").goes("refine", self._entry(controller.name).parts)
             or self.vehicle.integrals
             or not controller.certificate.stable
         ):
