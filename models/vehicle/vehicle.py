@@ -650,7 +650,7 @@ class Vehicle(ShownResult):
         """
         check_period(entry.name, entry.source.sample_period, self.implementation)
         if (self.filters or self.sums) and self.integrals:
-            FEATURES.load("integrals").check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
+            FEATURES.load("weights with filters").check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
         if self.dampers and not entry.forced:
             PARTS.load("adjustable damper").check_measured(entry.name, entry.measured, self)
 

@@ -21,11 +21,11 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/((_build|reference)/.*|(gallery|exa
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3569   2326      0
+what all commands share: files, options, checks, tables of numbers   3570   2326      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6661   2061    359
+vehicle file, types, equations, MJCF                           6646   2061    359
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
@@ -72,8 +72,8 @@ analytic and random roads                                      1794    938    17
 preview, LQR, LQG, H2                                           592    625     52
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
-anti-windup, integrals, compatible options                      438   1159      0
-    models/laws/{anti_windup,combinations}.py models/vehicle/integrals.py synth/controller/integral_action.py
+anti-windup, integrals, compatible options                      492   1159      0
+    models/laws/{anti_windup,combinations}.py models/vehicle/weights.py synth/controller/integral_action.py
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
 fixed order, PI, PID                                            914    331      0
     models/laws/law_structure.py synth/design/fixed_order/* tests/synth/test_fixed_order.py
@@ -83,7 +83,8 @@ goals, families, trade-off front                               3866   1559    13
     tests/support/goals.py tests/*/test_{band,energy_limits,family,front,goals*}.py
     docs/how-to/{goals,trade-off}.md docs/explanation/how-goals-are-proved.md
 uncertainty: fragility, mu, boxes                              2509    935     65
-    synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/{stacked_barrier,least_unknown}.py synth/command/fragility.py
+    synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/{least_unknown,stacked_barrier}.py
+    synth/command/fragility.py
     {models/laws,synth/vehicle}/weighted_errors.py
     tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/robustness.md
@@ -114,13 +115,13 @@ certificates, norms, lower bounds                              3695   2295     4
     synth/analysis/lower_bounds/* synth/command/check.py tests/support/exactly.py
     tests/*/test_{certificate,exact_proofs,false_certificates,lower_bound,no_controller*,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
-plant algebra, filters, any plant                              3316   2132    330
-    synth/plant/* models/laws/{design_methods,filter}.py synth/design/{feedback,methods,problem}.py
+plant algebra, filters, any plant                              3321   2132    330
+    synth/plant/* models/laws/{design_methods,filter,iso2631}.py synth/design/{feedback,methods,problem}.py
     synth/vehicle/state_space.py
     tests/support/weighted.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,loop,methods,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3721    660    188
+synth command, controller record, designer                     3720    660    188
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,loop_of,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,design_problem,designer,expected_ride}.py
@@ -179,7 +180,7 @@ commands that drive                                            1198   1000    38
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive,loads}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5863   2405
+house, pages, benchmarks                                          0   5864   2405
     tests/{__init__,conftest,same_numbers}.py tests/house/sample.py
     tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py

@@ -112,7 +112,7 @@ CORE = {  # package -> its modules that are core
     "models.document": "document field figure outputs text",
     "models": "full_car half_car quarter_car",
     "models.kinds": "at_wheels car kind linear_model links plausibility rigid_body rigid_motion signals strut_and_tyre",
-    "models.laws": "design_methods design_request filter law linear",
+    "models.laws": "design_methods design_request iso2631 law linear",
     "models.parts": "part",
     "models.parts.stops": "section",
     "models.roads": "iso8608 road spectrum",
