@@ -133,6 +133,8 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "sampled norm": "synth.analysis.sampled_norm",
         "exported code": "synth.controller.export.folder",
         "norm as implemented": "synth.controller.implementation_norm",
+        "filters in plants": "synth.controller.filtered_plant",
+        "measured heights": "synth.controller.measured_heights",
         "integral action": "synth.controller.integral_action",
         "degenerate plants": "synth.design.degenerate",
         "H2 designs": "synth.design.full_order.quadratic",
