@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.errors import InputError, list_names
 from models.kinds.linear_model import LinearModel
 from models.laws.filter import Filter
 from models.vehicle.vehicle import Vehicle
-from synth.controller.problem import road_twist_inputs
+from synth.controller.problem import plant_states, road_twist_inputs
 from synth.plant.augmented import append, gain, with_weights
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
@@ -115,3 +115,19 @@ def _check_heights(vehicle: Vehicle, signal: str) -> None:
 
 def _system(one: Filter | None) -> StateSpace:
     return gain(1.0) if one is None else StateSpace.of_law(one.remainder)
+
+
+def filter_lines(vehicle: Vehicle) -> list[str]:
+    """Returns notes about the filters in z and w, and about their poles."""
+    texts = [f"{row.name} filtered by {row.filter.words}" for row in vehicle.weighted if row.filter is not None]
+    texts += [f"w filtered by {vehicle.road_filter.words} to get the road's velocity"] if vehicle.road_filter is not None else []
+    states = vehicle.road_filter is not None or any(name.startswith("filter_of_") for name in plant_states(vehicle))
+    poles = "; the poles of these filters do not depend on control and are not listed" if states else ""
+    lines = [f"norms include filters: {', '.join(texts)}{poles}"]
+    if vehicle.integrals:
+        names = list_names([name.removeprefix("integral_of_") for name in vehicle.integrals])
+        lines.append(
+            f"designs that measure {names} use the integral of each such signal as a state; norms of the sampled-data loop "
+            "do not include integrals"
+        )
+    return lines

@@ -16,12 +16,16 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import list_names
 from models.kinds.linear_model import LinearModel
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.stability import beside_weights, is_stable
+from synth.controller.controller import AnyController
 from synth.controller.integral_action import RETURNS
 from synth.controller.problem import ClosedLoop, Problem, road_twist_inputs
 from synth.plant.generalized import Plant
+
+STUDY = "for study only: no sensor on a car measures heights over the datum of a flat road"
 
 
 def judged_over_datum(problem: Problem, judged: ClosedLoop) -> ClosedLoop:
@@ -85,3 +89,12 @@ def road_rates(vehicle: Vehicle, plant: Plant) -> tuple[Array, Array]:
     of_filters = np.kron(np.eye(roads), road.realisation.C)
     C[:, n - of_filters.shape[1] :] = of_filters
     return C, D * road.realisation.D
+
+
+def study_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
+    """Returns notes about a law for theoretical study: no car can measure the signals of this law, and a finite norm may not
+    exist.
+    """
+    shows = controller.problem(vehicle).judged(controller.law).unbounded_outputs if controller.linear is True else ()
+    names = list_names([vehicle.weighted[i].name for i in shows])
+    return [STUDY, *[f"no finite norm: a constant road height causes a constant {names}"] * bool(shows)]

@@ -21,11 +21,11 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/((_build|reference)/.*|(gallery|exa
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3572   2326      0
+what all commands share: files, options, checks, tables of numbers   3573   2326      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6646   2061    359
+vehicle file, types, equations, MJCF                           6646   2062    359
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
@@ -72,10 +72,10 @@ analytic and random roads                                      1794    938    17
 preview, LQR, LQG, H2                                           592    625     52
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
-anti-windup, integrals, compatible options                      518   1159      0
+anti-windup, integrals, compatible options                      539   1159      0
     models/laws/{anti_windup,combinations}.py models/vehicle/weights.py synth/controller/integral_action.py
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
-fixed order, PI, PID                                            914    331      0
+fixed order, PI, PID                                            914    332      0
     models/laws/law_structure.py synth/design/fixed_order/* tests/synth/test_fixed_order.py
 goals, families, trade-off front                               3866   1559    136
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
@@ -88,17 +88,17 @@ uncertainty: fragility, mu, boxes                              2509    935     6
     {models/laws,synth/vehicle}/weighted_errors.py
     tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/robustness.md
-sampled data: norm, bound, designs, rates                      2219   1235     89
+sampled data: norm, bound, designs, rates                      2220   1235     89
     synth/analysis/sampled_*.py synth/design/sampled_data.py synth/lmi/sampled_bound.py
     synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/how-to/sampled-data-design.md
-export: C99, fixed point, FMI, MATLAB                          3446   1452    112
+export: C99, fixed point, FMI, MATLAB                          3447   1452    112
     synth/controller/export/** synth/command/export*.py sim/drive/drivers/code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/{export,simulink}.md
 full-order H-infinity                                           999    741    118
     synth/design/full_order/{__init__,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
     tests/*/test_{full_order,named_designs,stable_law}.py
-static search, descent, refine                                 2286    750      0
+static search, descent, refine                                 2324    750      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/support/multistart.py
     tests/*/test_{against_descents,descent,static}.py
 LMI certificates that anybody can check                         963    351    115
@@ -110,28 +110,29 @@ two steps, LMI path                                            2837   1013    15
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_nulling,sdp,structured_barrier,un*}.py
     tests/*/test_{central,paper,slicot,structured,two_steps_of_any_plant}.py
     docs/explanation/{control-problem,reproduce-the-paper}.md
-certificates, norms, lower bounds                              3695   2295     47
+certificates, norms, lower bounds                              3696   2295     47
     synth/analysis/{__init__,band_norm,bounding,certificate,energy_to_peak,norm,record,rigorous,specification,stabilisability,stability,twice_precision}.py
     synth/analysis/lower_bounds/* synth/command/check.py tests/support/exactly.py
     tests/*/test_{certificate,exact_proofs,false_certificates,lower_bound,no_controller*,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
-plant algebra, filters, any plant                              3321   2132    330
+plant algebra, filters, any plant                              3331   2133    330
     synth/plant/* models/laws/{design_methods,filter,iso2631}.py synth/design/{feedback,methods,problem}.py
     synth/vehicle/state_space.py
     tests/support/weighted.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,loop,methods,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3761    660    188
+synth command, controller record, designer                     3784    660    188
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
-    synth/controller/{__init__,controller,filtered_plant,law_margins,loop_of,measured_heights,problem,report}.py
-    synth/vehicle/{__init__,certified_vehicle,design_problem,designer,expected_ride}.py
+    synth/controller/{__init__,controller,design_notes,filtered_plant,law_margins,loop_of,measured_heights}.py
+    synth/controller/{problem,report,sampled_report}.py
+    synth/vehicle/{__init__,certified_vehicle,design_problem,designer,expected_ride,mean_square}.py
     tests/*/test_{law_warnings,synth_command}.py docs/how-to/synth.md
-log re-verification                                             963    579     43
+log re-verification                                             957    579     43
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
 recordings: MCAP, Foxglove, Rerun                              2361   1142     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               3804   1381     79
+page and figures                                               3805   1381     79
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
 campaigns                                                      3117   1797    208
@@ -167,10 +168,10 @@ MuJoCo loop                                                    3057   1101      
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*
     tests/*/test_{drivers,energy,hardware,observers,reality,shares}.py
-linear responses                                               1125    416      0
+linear responses                                               1126    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,response_batch,rounding}.py
     sim/linear/sampled_response.py tests/support/analysed.py tests/synth/test_laws.py
-runs, verdict, their text                                      2861   1052    112
+runs, verdict, their text                                      2862   1052    112
     sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
@@ -180,7 +181,7 @@ commands that drive                                            1198   1000    38
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive,loads}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5864   2405
+house, pages, benchmarks                                          0   5865   2405
     tests/{__init__,conftest,same_numbers}.py tests/house/sample.py
     tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py

@@ -25,8 +25,8 @@ from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.agreement import compare
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import PITCH, ROLL, static_angles
+from synth.controller.design_notes import twist_lines
 from synth.controller.problem import generalized_plant
-from synth.controller.report import twist_lines
 from synth.vehicle.designer import Designer
 from tests.conftest import random_vehicles
 from tests.models import test_cars
