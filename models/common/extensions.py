@@ -77,7 +77,6 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "state": "synth.design.two_step:state",
         "zero_l": "synth.design.two_step:zero_l",
         "descent": "synth.design.fallback:descent",
-        "mean square designs": "synth.vehicle.mean_square",
         "refinement": "synth.design.fallback:refinement",
         "structured": "synth.design.fixed_order.fixed_order:design_structured",
         "riccati": "synth.design.full_order.full_order:riccati",

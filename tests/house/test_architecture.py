@@ -134,7 +134,7 @@ CORE = {  # package -> its modules that are core
     "synth.plant": "double_double generalized loop numerics state_space units",
     "synth.vehicle": "design_problem designer",
 }
-MOST_CORE = 16_580  # lines of code of the core, without docstrings, comments and blank lines
+MOST_CORE = 15_430  # lines of code of the core, without docstrings, comments and blank lines
 
 # Who may import what is heavy, or replaceable.
 OWNERS = {
