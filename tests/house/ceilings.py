@@ -21,11 +21,11 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/((_build|reference)/.*|(gallery|exa
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3572   2326      0
+what all commands share: files, options, checks, tables of numbers   3575   2326      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6646   2062    359
+vehicle file, types, equations, MJCF                           6657   2062    359
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
@@ -56,12 +56,12 @@ curves of dampers and springs, statistical linearisation       3728   1972    18
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/{springs-and-dampers,force-elements}.md
 bump stops                                                      661    167      0
     models/parts/stops/* sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          2306   1962      0
+parts of a suspension                                          2306   1973      0
     models/parts/{__init__,actuator,element,native,part,placement}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/drive/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py
     tests/models/test_set_voltages.py
-loads, links, tyre damping                                      822   1440     57
+loads, links, tyre damping                                      822   1442     57
     models/roads/loads/* models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
 measured roads, rigs, OpenCRG, IRI                             1495    990      0
@@ -69,8 +69,8 @@ measured roads, rigs, OpenCRG, IRI                             1495    990      
 analytic and random roads                                      1794    938    171
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py
     tests/models/test_{roads,second_sources}.py docs/how-to/{custom-roads,roads}.md
-preview, LQR, LQG, H2                                           592    625     52
-    models/laws/preview.py synth/design/full_order/{preview,quadratic}.py
+preview, LQR, LQG, H2                                           711    625     52
+    models/laws/preview.py sim/linear/preview_response.py synth/design/full_order/{preview,quadratic}.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
 anti-windup, integrals, compatible options                      539   1159      0
     models/laws/{anti_windup,combinations}.py models/vehicle/weights.py synth/controller/integral_action.py
@@ -129,7 +129,7 @@ synth command, controller record, designer                     3784    660    18
     tests/*/test_{law_warnings,synth_command}.py docs/how-to/synth.md
 log re-verification                                             957    579     43
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
-recordings: MCAP, Foxglove, Rerun                              2361   1142     48
+recordings: MCAP, Foxglove, Rerun                              2387   1142     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
 page and figures                                               3805   1381     79
@@ -151,7 +151,7 @@ recommendation of a controller                                 1699    400    21
     docs/how-to/{recommend,sensors-and-controllers}.md docs/tutorials/best-controller.md
 frequency, sweep                                               2211    614     38
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             3454   1287      0
+ride metrics and their expectation                             3452   1287      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{kinds/*,loads,over_roads,run_metrics,score*,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
@@ -163,25 +163,25 @@ identification from measured logs                              4470    731    27
 map of validity                                                1361    371     35
     sim/envelope.py sim/studies/validity/{__init__,command,edges,grid,map_runs,re*,study}.py tests/sim/test_envelope.py
     docs/how-to/envelope.md
-MuJoCo loop                                                    3057   1101      0
+MuJoCo loop                                                    3058   1101      0
     sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*
     tests/*/test_{drivers,energy,hardware,observers,reality,shares}.py
-linear responses                                               1126    416      0
+linear responses                                               1026    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,response_batch,rounding}.py
     sim/linear/sampled_response.py tests/support/analysed.py tests/synth/test_laws.py
-runs, verdict, their text                                      2862   1052    112
+runs, verdict, their text                                      2876   1052    112
     sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{why-mujoco,not-modelled}.md
-commands that drive                                            1198   1000    385
+commands that drive                                            1167   1000    385
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive,loads}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5865   2405
+house, pages, benchmarks                                          0   5869   2405
     tests/{__init__,conftest,same_numbers}.py tests/house/sample.py
     tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py

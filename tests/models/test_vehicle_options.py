@@ -24,7 +24,8 @@ from sim.inspect.__main__ import main as inspect
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.agreement import compare
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.ride.metrics import PITCH, ROLL, static_angles
+from sim.studies.ride.metrics import PITCH, ROLL
+from sim.studies.ride.run_metrics import static_angles
 from synth.controller.design_notes import twist_lines
 from synth.controller.problem import generalized_plant
 from synth.vehicle.designer import Designer
