@@ -69,31 +69,87 @@ SAMPLES = (
 SORTS = ("part", "driver", "observer", "recording", "study", "design method", "feature")
 
 
-@pytest.mark.parametrize("sort", in_the_suite(["samples"], ["samples", *SORTS]))
-def test_all_else_works_without_them(sort, tmp_path):
+WITHOUT_METRICS = """
+from models.common.extensions import METRICS
+assert not {{*{names}}} & {{*METRICS}}
+from sim.campaign.__main__ import main as campaign
+from sim.drive.__main__ import main
+key = next(name for name in ("ride", "peak_travel") if name in METRICS)
+road = ["--road", "iso8608:class=C", "--load", "brake:g=0.3", "--vehicle", "half_car"]
+assert not main(["--controller", "passive", *road, "--duration", "0.2", "-v", "--no-logs"])
+assert not campaign(["campaign.toml", "--workers", "1", "--best", key, "--picture", "ride.svg"])
+"""
+RUNS = """
+vehicles = ["quarter_car"]
+controllers = ["passive", "II_printed"]
+roads = ["iso8608:class=C", "bump"]
+speeds = [15]
+duration = 0.2
+"""
+LINEAR = "sim.drive.drivers.linear"  # which every drive needs that has no law of its own
+# Removes the driver of linear laws, too, and imports all anew.
+WITHOUT_LINEAR = f"""
+import pathlib, sys
+pathlib.Path("without.py").replace({TABLE!r})
+pathlib.Path("{LINEAR.replace(".", "/")}.py").unlink()
+for name in [name for name in sys.modules if name.partition(".")[0] in ("models", "synth", "sim")]:
+    del sys.modules[name]
+"""
+CASES = {  # sort of which other modules are removed, or the samples, and metrics that are removed
+    "samples and ride": ("samples", ["ride"]),
+    **{sort: (sort, []) for sort in ("samples", *SORTS)},
+    "ride": ("", ["ride"]),
+    "all metrics but ride": ("", [name for name in METRICS if name != "ride"]),
+}
+
+
+@pytest.mark.parametrize("case", in_the_suite(["samples and ride"], CASES))
+def test_all_else_works_without_them(case, tmp_path):
     """In a copy without some files and their lines every module is imported, and a car runs over a bump, or is designed for.
+    Without some metrics a car is driven, and a campaign finds its best one.
 
     The other removable modules of a sort are removed together. No module of them needs another one, as `removable` has only
-    modules that no file imports.
+    modules that no file imports. No file imports a metric either, as `test_only_the_table_names_a_module` holds.
     """
-    others = [module for module, (other, _) in removable().items() if other == sort and module not in SAMPLES]
-    modules = others if sort in SORTS else SAMPLES
+    sort, metrics = CASES[case]
+    modules = [module for module, (other, _) in removable().items() if other == sort and module not in SAMPLES]
+    modules = SAMPLES if sort == "samples" else modules
     assert {*modules} <= removable().keys()
     copied(tmp_path, "models", "synth", "sim")
-    uses = {one for module in modules if (one := USE.get(module, USE.get(removable()[module][0])))} or {BUMP}
-    text = (tmp_path / TABLE).read_text(encoding="utf-8")
-    for module in modules:
-        (tmp_path / f"{module.replace('.', '/')}.py").unlink()
+    table = tmp_path / TABLE
+    for name in metrics:
+        text, count = re.subn(rf'(?m)^        "{name}": f"{{_STANDARD}}.*\n', "", table.read_text(encoding="utf-8"))
+        assert count == 1
+        table.write_text(text, encoding="utf-8")
+        without_class(tmp_path, *METRICS[name].split(":"))
+    (tmp_path / "campaign.toml").write_text(RUNS, encoding="utf-8")
+    code = [WITHOUT_METRICS.format(names=metrics)] if metrics else []
+    for module in sorted(modules, key=lambda module: module == LINEAR):
+        if module == LINEAR and metrics:
+            table = shutil.copy(table, tmp_path / "without.py")
+            code.append(WITHOUT_LINEAR)
+        else:
+            (tmp_path / f"{module.replace('.', '/')}.py").unlink()
         sort, names = removable()[module]
         for name in names:
             row = rf'        "{name}": (?:\(\n.*?\n        \),|[^\n]*)\n'
-            text, count = re.subn(rf'(?s)(    "{sort}": {{.*?\n){row}', r"\1", text, count=1)
+            text, count = re.subn(rf'(?s)(    "{sort}": {{.*?\n){row}', r"\1", table.read_text(encoding="utf-8"), count=1)
             assert count == 1
-    (tmp_path / TABLE).write_text(text, encoding="utf-8")
-    code = "\n".join([CHECK, *(use for use, _ in uses)])
+            table.write_text(text, encoding="utf-8")
+    uses = {one for module in modules if (one := USE.get(module, USE.get(removable()[module][0])))} or {BUMP}
+    code = "\n".join([*code, CHECK, *(use for use, _ in uses)])
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     assert all(printed in done.stdout for _, printed in uses)
+
+
+def without_class(root: Path, module: str, name: str) -> None:
+    """Removes a class from a module of a copy."""
+    file = root / f"{module.replace('.', '/')}.py"
+    lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
+    (of_class,) = (one for one in ast.parse("".join(lines)).body if isinstance(one, ast.ClassDef) and one.name == name)
+    del lines[of_class.lineno - 1 : of_class.end_lineno]
+    file.write_text("".join(lines), encoding="utf-8")
 
 
 def test_methods_are_named_by_their_table():
@@ -124,47 +180,3 @@ def test_the_core_drives_without_any_extension(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     assert done.stdout.count("MuJoCo agrees") == 3
-
-
-WITHOUT_METRIC = """
-import sys
-from models.common.extensions import METRICS
-assert not {*sys.argv[1:]} & {*METRICS}
-from sim.campaign.__main__ import main as campaign
-from sim.drive.__main__ import main
-key = next(name for name in ("ride", "peak_travel") if name in METRICS)
-road = ["--road", "iso8608:class=C", "--load", "brake:g=0.3", "--vehicle", "half_car"]
-status = main(["--controller", "passive", *road, "--duration", "0.2", "-v", "--no-logs"])
-sys.exit(status or campaign(["campaign.toml", "--workers", "1", "--best", key, "--picture", "ride.svg"]))
-"""
-RUNS = """
-vehicles = ["quarter_car"]
-controllers = ["passive", "II_printed"]
-roads = ["iso8608:class=C", "bump"]
-speeds = [15]
-duration = 0.2
-"""
-
-
-@pytest.mark.parametrize("names", in_the_suite([("ride",)], [("ride",), [name for name in METRICS if name != "ride"]]), ids=len)
-def test_all_else_works_without_a_metric(names, tmp_path):
-    """In a copy without ride, or with ride alone, a car is driven, and a campaign finds its best one.
-
-    No file imports a metric, as `test_only_the_table_names_a_module` holds.
-    """
-    copied(tmp_path, "models", "synth", "sim")
-    table = tmp_path / TABLE
-    for name in names:
-        text, count = re.subn(rf'(?m)^        "{name}": f"{{_STANDARD}}.*\n', "", table.read_text(encoding="utf-8"))
-        assert count == 1
-        table.write_text(text, encoding="utf-8")
-        module, _, named = METRICS[name].partition(":")
-        file = tmp_path / f"{module.replace('.', '/')}.py"
-        lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
-        (of_class,) = (one for one in ast.parse("".join(lines)).body if isinstance(one, ast.ClassDef) and one.name == named)
-        del lines[of_class.lineno - 1 : of_class.end_lineno]
-        file.write_text("".join(lines), encoding="utf-8")
-    (tmp_path / "campaign.toml").write_text(RUNS, encoding="utf-8")
-    command = [sys.executable, "-c", WITHOUT_METRIC, *names]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
