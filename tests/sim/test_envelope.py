@@ -299,7 +299,7 @@ def test_the_csv_is_the_cells(tmp_path, capsys, of_one_map):
     section = "".join(f"{name} = {value}\n" for name, value in LIMITS.record.items() if value is not None)
     vehicle.write_text(f"{read_vehicle('quarter_car').text}\n[limits]\n{section}")
     axes = ["--vary", "height:0.02:0.3:4", "--vary", "speed:5:30:3", "--duration", "1.6"]
-    arguments = ["--vehicle", str(vehicle), "--controller", "I", *axes, "--timestep", "0.002"]
+    arguments = ["--vehicle", str(vehicle), "--controller", "I", *axes, "--timestep", "0.004"]
     result = answer(capsys, main, *arguments, "--picture", str(tmp_path / "map.svg"), "--logs", str(tmp_path))
     cells = result["cells"]
     assert (tmp_path / "map.svg").read_text().startswith("<?xml")
