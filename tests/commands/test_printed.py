@@ -232,7 +232,9 @@ def test_files(name):
 def test_log(tmp_path, monkeypatch, capsys):
     """The same of a log that is inspected, of several, and with -v, which prints more than a screen."""
     monkeypatch.chdir(tmp_path)
-    assert main_of("sim.bump")(["--vehicle", "full_car", "--controller", "I", "--duration", "0.2", "--timestep", "4e-3", "-v"]) == 0
+    assert (
+        main_of("sim.bump")(["--vehicle", "full_car", "--controller", "I", "--duration", "0.2", "--timestep", "4e-3", "-v"]) == 0
+    )
     capsys.readouterr()
     (log,) = Path("logs").glob("*.mcap")
     for name, function in (("log.read_log", read_log), ("proof.prove", prove)):

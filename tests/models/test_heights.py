@@ -168,7 +168,7 @@ def test_refused(old, new, said):
 
 
 @pytest.mark.parametrize("command", [
-    "synth", "sim.bump --no-logs", "synth --export code",
+    "synth", "sim.bump --no-logs --duration 0.2", "synth --export code",
     "sim.drive --controller passive --controller I --controller II --controller state --no-logs --duration 0.1 --road step",
 ])  # fmt: skip
 def test_marked(tmp_path, monkeypatch, capsys, command):

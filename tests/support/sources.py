@@ -16,6 +16,7 @@ from tests.support.shared import made
 DIGITS = re.compile(r":[^{}: ]*\.(\d+|\{[^{}]*\})[egf%]\}")  # the end of a format with a number of digits
 STRING_OR_COMMENT = re.compile(r"(?s:(\"{3}|'{3})(?:\\.|.)*?\1)|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'|(?P<comment>#[^\n]*)")
 TOOLS = re.compile(r"#\s*(?:pyright|type|noqa|ruff|fmt|pragma|:schema)\b")  # comments for tools
+LEAVES = {int, str, type(None), ast.Load, ast.Store, ast.Del}  # most of what nodes have
 IN_DIGITS = re.compile(r"\.(\d+|\{[^{}]*\})[egf%]")  # in the text of each file that has one
 
 
@@ -102,13 +103,17 @@ def _nodes(tree: ast.AST) -> Mapping[type, list[Any]]:
     nodes, by_class = [tree], defaultdict[type, list[Any]](list)
     for node in nodes:
         by_class[type(node)].append(node)
-        for name in node._fields:
-            value = getattr(node, name, None)
-            if isinstance(value, list):
-                nodes += [one for one in value if isinstance(one, ast.AST)]
-            elif isinstance(value, ast.AST) and not isinstance(value, ast.expr_context):
-                nodes.append(value)
+        nodes += _children(node)
     return by_class
+
+
+def _children(node: ast.AST) -> Iterator[Any]:
+    """Yields what `ast.iter_child_nodes` does, without the contexts of names, in half the time."""
+    for value in vars(node).values():
+        if type(value) is list:
+            yield from (one for one in value if isinstance(one, ast.AST))
+        elif type(value) not in LEAVES and isinstance(value, ast.AST):
+            yield value
 
 
 def comments(written: str) -> Iterator[str]:
@@ -161,7 +166,7 @@ def _formats(node: ast.AST) -> Iterator[str]:
         spec, node = ast.unparse(node.format_spec)[2:-1], node.value  # without f and the quotes
     if isinstance(spec, str) and DIGITS.search(f":{spec}}}"):
         yield spec
-    for part in ast.iter_child_nodes(node):
+    for part in _children(node):
         if not (isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant)):  # a docstring
             yield from _formats(part)
 

@@ -71,7 +71,7 @@ def test_plants_that_measure_differently(paper, designer, name, slack):
     assert worst_of([designer.plant] * len(Cys), Cys)[0] < slack
 
 
-@pytest.mark.parametrize(("seed", "slack"), [(0, 1.707921), *attacks([(1, 2.580328), (2, 2.844378)])])
+@pytest.mark.parametrize(("seed", "slack"), [(1, 2.580328), *attacks([(0, 1.707921), (2, 2.844378)])])
 def test_random_families(seed, slack):
     """Random families, with a Dw, lose nothing."""
     rng = np.random.default_rng(seed)
