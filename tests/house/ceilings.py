@@ -21,7 +21,7 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/((_build|reference)/.*|(gallery|exa
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3566   2326      0
+what all commands share: files, options, checks, tables of numbers   3566   2328      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
@@ -56,7 +56,7 @@ curves of dampers and springs, statistical linearisation       3728   1972    18
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/{springs-and-dampers,force-elements}.md
 bump stops                                                      661    167      0
     models/parts/stops/* sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          2306   1962      0
+parts of a suspension                                          2306   1974      0
     models/parts/{__init__,actuator,element,native,part,placement}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/drive/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py
@@ -103,7 +103,7 @@ static search, descent, refine                                 2270    750      
 LMI certificates that anybody can check                         961    351    115
     synth/analysis/lmi_certificate/* synth/vehicle/lmi_certificates.py synth/command/certificates.py
     tests/synth/test_lmi_certificates.py tests/support/check_certificates.mjs docs/explanation/lmi-certificates.md
-two steps, LMI path                                            2911   1013    150
+two steps, LMI path                                            2914   1013    150
     synth/design/{__init__,degenerate,two_step}.py synth/vehicle/paper.py synth/command/cross_check.py
     tests/support/active_suspension.py
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_nulling,sdp,structured_barrier,un*}.py
@@ -179,7 +179,7 @@ commands that drive                                            1198   1000    38
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive,loads}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5863   2405
+house, pages, benchmarks                                          0   5871   2405
     tests/{__init__,conftest,same_numbers}.py tests/house/sample.py
     tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
