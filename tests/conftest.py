@@ -28,8 +28,6 @@ shared.share_vehicles()
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-SEARCH_EVERY = 100_000  # objects that are made until garbage is searched for; Python's own 700 cost 11 s of a session
-
 # What a vehicle file may say beside its parameters.
 BUILT = "\n[implementation]\nsample_period = 0.01\ndelay = {delay}\n"
 LAGGED = "\n[limits]\nactuator_bandwidth = 60.0\n"
@@ -64,9 +62,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """What has been imported stays: no later search for garbage looks through it, and searches are rare."""
+    """What has been imported stays: no later search for garbage looks through it."""
     gc.freeze()
-    gc.set_threshold(SEARCH_EVERY)
 
 
 @pytest.fixture(scope="session", autouse=True)
