@@ -63,7 +63,7 @@ class Barrier:
         Raises:
             LinAlgError: the constraints do not change, up to rounding, for some change of the unknowns.
         """
-        inverses = list[Array]()
+        inverses, W, rows, trace = [], [], [], 0.0
         for F0, _, flat, *_ in self.blocks:  # all blocks are checked first, because many points of a line search are not feasible
             factor, outside = lapack.dpotrf(F0 + (p @ flat).reshape(F0.shape), lower=1, clean=1)
             if outside:
@@ -75,7 +75,6 @@ class Barrier:
         values = None if self.numbers is None else self.numbers[0] + p @ self.numbers[1]
         if values is not None and not (values > 0).all():
             return None
-        W, rows, trace = [], [], 0.0
         for (_, F, flat, upper, diagonal, weights), inverse in zip(self.blocks, inverses, strict=True):
             scaled = (inverse @ F @ inverse.T).reshape(flat.shape)
             W.append(scaled)

@@ -17,7 +17,7 @@ from tests.support.shared import Printed, printed
 
 REALITY, *_ = site("Limits").blocks("toml")  # the README's example: limits, a sample period, a delay, noise and quantisation
 # Of the paper's vehicle; the step divides the README's sample period, and a run takes less than half the time of one at 1 ms.
-QUICK = ("--quick", "--timestep", "0.005", "--out", "report.html")
+QUICK = ("--quick", "--timestep", "0.0025", "--out", "report.html")
 CAMPAIGN = """
 vehicles = ["quarter_car"]
 controllers = ["passive", "I_printed"]
