@@ -63,23 +63,25 @@ class Barrier:
         Raises:
             LinAlgError: the constraints do not change, up to rounding, for some change of the unknowns.
         """
-        W, rows, trace = [], [], 0.0
-        for F0, F, flat, upper, diagonal, weights in self.blocks:
+        inverses, W, rows, trace = [], [], [], 0.0
+        for F0, _, flat, *_ in self.blocks:  # all blocks are checked first, because many points of a line search are not feasible
             factor, outside = lapack.dpotrf(F0 + (p @ flat).reshape(F0.shape), lower=1, clean=1)
             if outside:
                 return None
             inverse, singular = lapack.dtrtri(factor, lower=1)
             if singular:
                 return None
+            inverses.append(inverse)
+        values = None if self.numbers is None else self.numbers[0] + p @ self.numbers[1]
+        if values is not None and not (values > 0).all():
+            return None
+        for (_, F, flat, upper, diagonal, weights), inverse in zip(self.blocks, inverses, strict=True):
             scaled = (inverse @ F @ inverse.T).reshape(flat.shape)
             W.append(scaled)
             rows.append(scaled.take(upper, axis=1) * weights)
             trace = trace + scaled.take(diagonal, axis=1).sum(axis=1)
         numbers = None
         if self.numbers is not None:
-            values = self.numbers[0] + p @ self.numbers[1]
-            if not (values > 0).all():
-                return None
             numbers = self.numbers[1] / values
             rows.append(numbers)
             trace = trace + numbers.sum(axis=1)
