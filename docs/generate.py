@@ -55,9 +55,9 @@ from models.roads.road import Bump
 from models.vehicle.controller_section import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
-from models.vehicle.performance import WeightSection
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import kind, kinds, read_vehicle
+from models.vehicle.weights import WeightSection
 from sim.__main__ import COMMANDS, VERBS
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection

@@ -115,6 +115,17 @@ def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
     return said
 
 
+def vehicle_remarks(vehicle: Any) -> list[str]:
+    """Returns warnings about improbable quantities of a `Vehicle`."""
+    return remarks(known_quantities(vehicle))
+
+
+def road_remarks(road: Any) -> list[str]:
+    """Returns warnings about an improbable speed, or an improbable height of an obstacle, of a `Road`."""
+    heights = ({"obstacle": KnownQuantity(name, abs(getattr(road, name)), "m")} for name in getattr(road, "tall", ()))
+    return remarks([{"speed": KnownQuantity("speed", road.speed, "m/s")}, *heights])
+
+
 CORNER = {  # quantities of a suspension: how the name of the parameter begins, and the unit
     "spring": ("suspension_stiffness", "N/m"), "damper": ("suspension_damping", "N s/m"), "wheel": ("unsprung_mass", "kg"),
     "tyre": ("tyre_stiffness", "N/m"), "tyre_damper": ("tyre_damping", "N s/m"),

@@ -12,9 +12,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_fields, forwarded_attribute
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.common.schema import SI, Choice, Section, keys
 from models.kinds.kind import Parameters, Wheel
-from models.kinds.plausibility import KnownQuantity, remarks
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
 from models.vehicle.vehicle import Vehicle
 
@@ -82,8 +82,8 @@ class Road(ABC):
     @property
     def warnings(self) -> list[str]:
         """Warnings about numbers that probably have a wrong unit: the speed, or the height of an obstacle."""
-        heights = ({"obstacle": KnownQuantity(name, abs(getattr(self, name)), "m")} for name in getattr(self, "tall", ()))
-        return remarks([{"speed": KnownQuantity("speed", self.speed, "m/s")}, *heights])
+        doubts = FEATURES.load_if_known("doubts about numbers")
+        return doubts.road_remarks(self) if doubts else []
 
     @property
     def loaded(self) -> bool:

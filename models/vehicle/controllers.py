@@ -16,7 +16,6 @@ from models.common.schema import HERE, AnyTable, BySignal, Choice, Flag, ReadBy,
 from models.kinds.kind import LARGEST, SMALLEST, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD
-from models.laws.combinations import check_together, goes, section_parts
 from models.laws.design_methods import FULL, OF_STATE, PREVIEW
 from models.laws.design_request import Demands, DesignRequest, LawStructure
 from models.laws.law import Design, T, no_design
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
 
 OTHERWISE = " for force actuators, or omit actuators to use those of [actuators]"
 RESERVED_NAMES = ("passive", "state")  # every vehicle has these two controllers: zero force, and full state feedback
+ALONE = {"gain", "measured", "certificate", "actuators"}  # keys of a section that has no options
 PUSHING_ACTUATORS = "force"  # value of the key `actuators` in a controller's section
 
 
@@ -124,7 +124,7 @@ class ControllerEntry:
         given = self.source.record | self.hardware.record | (self.goals.record if self.goals is not None else {})
         if self.errors is not None:
             given["tolerance"] = given.get("tolerance", {}) | self.errors.record
-        parts = section_parts(given | {"study": self.study}, ())
+        parts = FEATURES.load("combinations of options").section_parts(given | {"study": self.study}, ())
         return parts | ({"states": "a law with states"} if "states" in parts else {})
 
     def driver(self, design: Design[T] = no_design, read: Callable[[], str] | None = None) -> "T | PythonController | SemiActive":
@@ -317,10 +317,11 @@ def read_controllers(
             raise InputError(
                 f"[controllers] {written} is a key of a single controller; move {written} into a section [controllers.NAME]"
             )
-        parts = section_parts(given, model.inputs) if isinstance(given, Mapping) else {}
-        check_together(where, parts)
+        parts = _parts_together(where, given, model.inputs)
         asked = read(where, _section_class(given), given, **facts)
-        with_samples = sampled and goes("sampled", parts) if asked.sampled is None else asked.sampled
+        with_samples = asked.sampled
+        if with_samples is None:
+            with_samples = sampled and FEATURES.load("combinations of options").goes("sampled", parts)
         with error_in(where):
             if with_samples and implementation.sample_period is None:
                 raise InputError(NO_PERIOD)
@@ -332,6 +333,22 @@ def read_controllers(
             goals = replace(goals, structure=None)
         controllers[name] = replace(entry, goals=goals, errors=asked.errors)
     return controllers
+
+
+def _parts_together(where: str, given: Any, inputs: Sequence[str]) -> Mapping[str, str]:
+    """Returns the parts of a controller's section after checking that they can be combined; see `models.laws.combinations`.
+
+    A gain, or the two-step design, without options has nothing to be combined with, so no table of combinations is loaded.
+    """
+    if not isinstance(given, Mapping):
+        return {}
+    measured = given.get("measured")
+    if {*given} <= ALONE and not (isinstance(measured, list) and any(name in inputs for name in measured)):
+        return {"gain": "gain"} if "gain" in given else {"steps": "the default two-step design"}
+    combinations = FEATURES.load("combinations of options")
+    parts = combinations.section_parts(given, inputs)
+    combinations.check_together(where, parts)
+    return parts
 
 
 def _entry(

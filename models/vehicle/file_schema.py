@@ -16,8 +16,9 @@ from models.parts.stops.stop import places_of
 from models.vehicle.controller_section import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
-from models.vehicle.performance import ROAD, WEIGHT, WeightSection
+from models.vehicle.performance import ROAD, WEIGHT
 from models.vehicle.vehicle import LIFTED, PLANES, VehicleFile, kind
+from models.vehicle.weights import WeightSection
 
 TABLE = {"type": "object"}
 WEIGHTED_SIGNAL = {"anyOf": [WEIGHT.json, json_schema(WeightSection)]}

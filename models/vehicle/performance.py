@@ -5,14 +5,15 @@ Each row of z is a weighted signal or a weighted sum of signals.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 from models.common.checks import is_finite
-from models.common.errors import InputError, list_names, short_repr
-from models.common.schema import HERE, SI, ReadBy, read
-from models.kinds.kind import is_number
-from models.laws.filter import Filter, FilterSection
+from models.common.errors import InputError, list_names
+from models.common.extensions import FEATURES
+from models.common.schema import SI
+
+if TYPE_CHECKING:
+    from models.laws.filter import Filter
 
 ROAD = "road"  # name of the filter from the disturbance w to the road velocity
 # Allowed range of the ratio of two weights; outside this range, rounding errors dominate
@@ -35,7 +36,7 @@ class WeightedSum:
     name: str
     weight: float
     terms: Mapping[str, float]
-    filter: Filter | None = None
+    filter: "Filter | None" = None
 
     @property
     def text(self) -> str:
@@ -53,41 +54,7 @@ class Weight(SI):
         return SI(self.unit, "", least, self.high, more).number(what, value)
 
 
-FACTORS = "factors of the signals in a weighted sum"
 WEIGHT = Weight("", "weight in the performance output, per SI unit of the signal", 0.0, LARGEST_WEIGHT)
-
-
-def _terms(value: Any, context: Mapping[str, Any]) -> dict[str, float]:
-    """Returns the factors by which the signals in a sum are multiplied. `context["outputs"]` contains the names of the output
-    signals.
-    """
-    outputs = context["outputs"]
-    if not isinstance(value, Mapping) or not value or not all(is_number(one) and one for one in value.values()):
-        raise InputError(
-            f"{HERE} = {short_repr(value)} is not allowed; give signals with factors other than 0, as in sum = "
-            f"{{ {outputs[0]} = 1.0, {outputs[1]} = -1.0 }}"
-        )
-    if unknown := [signal for signal in value if signal not in outputs]:
-        raise InputError(f"{HERE} has the unknown signal {unknown[0]!r}; the signals are {list_names(outputs)}")
-    return {signal: float(one) for signal, one in value.items()}
-
-
-@dataclass(frozen=True)
-class WeightSection(FilterSection):
-    """Section of a signal or of a sum of signals in `[performance]`. If the key has a number instead of a section, the number
-    is the weight.
-    """
-
-    integrates: ClassVar[bool] = True
-
-    weight: Annotated[float, WEIGHT] = 1.0
-    sum: Annotated[Mapping[str, float], ReadBy(FACTORS, _terms, allowed={"type": "object"})] | None = None
-
-    @cached_property
-    def shape(self) -> Filter | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The filter of the row; None for a sum with a constant weight."""
-        unshaped = self.filter is self.numerator is self.denominator is None
-        return None if unshaped and self.sum is not None else super().shape
 
 
 def read_performance(section: Mapping[str, Any], outputs: Sequence[str]) -> dict[str, Any]:
@@ -100,16 +67,16 @@ def read_performance(section: Mapping[str, Any], outputs: Sequence[str]) -> dict
     Raises:
         InputError: a signal is unknown, a weight or filter is not allowed, or no weight is above 0.
     """
-    weights, filters, sums, road_filter = dict[str, float](), dict[str, Filter](), list[WeightedSum](), None
+    weights, filters, sums, road_filter = dict[str, float](), dict[str, "Filter"](), list[WeightedSum](), None
     for name, given in section.items():
         where = f"[performance] {name}"
         if name == ROAD:
-            road_filter = read(where, FilterSection, given).shape
+            road_filter = FEATURES.load("weights with filters").read_filter(where, given)
             continue
         if not isinstance(given, Mapping):
             weights[name] = WEIGHT.number(where, given)
             continue
-        one = read(where, WeightSection, given, outputs=outputs)
+        one = FEATURES.load("weights with filters").read_weight(where, given, outputs)
         if one.sum is None:
             weights[name] = one.weight
             filters |= {name: one.shape} if one.shape is not None and one.weight else {}

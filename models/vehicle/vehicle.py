@@ -21,7 +21,6 @@ from models.document.document import Document
 from models.document.text import ShownResult, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
-from models.kinds.plausibility import known_quantities, remarks
 from models.kinds.signals import names_of, of_dampers
 from models.laws.law import Design, T
 from models.parts.part import Parts
@@ -608,7 +607,9 @@ class Vehicle(ShownResult):
         """Warnings about characteristics, and about numbers that probably have a wrong unit or are swapped."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
-        doubts = list[str]()
+        numbers, doubts = FEATURES.load_if_known("doubts about numbers"), list[str]()
+        if numbers:
+            doubts += numbers.vehicle_remarks(self)
         if curves or self.dampers or self.limits.stopped:
             doubts += FEATURES.load("doubts about parts").suspension_doubts(self)
         if curves:
@@ -616,7 +617,6 @@ class Vehicle(ShownResult):
         if self.kind.ratios:
             doubts += FEATURES.load("curves of suspensions").ratio_doubts(self.kind, self.parts.strokes)
         return [
-            *remarks(known_quantities(self)),
             *doubts,
             *(f"{name}{PERSON} {self.kind.name}.py" for name in self.ride_points.people if not self.ride_points.named),
         ]
@@ -650,7 +650,7 @@ class Vehicle(ShownResult):
         """
         check_period(entry.name, entry.source.sample_period, self.implementation)
         if (self.filters or self.sums) and self.integrals:
-            FEATURES.load("integrals").check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
+            FEATURES.load("weights with filters").check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
         if self.dampers and not entry.forced:
             PARTS.load("adjustable damper").check_measured(entry.name, entry.measured, self)
 

@@ -1,7 +1,6 @@
 """Functions that commands for the simulation of controllers share: choice of controllers, warnings, viewer and logs."""
 
 import argparse
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -173,37 +172,6 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, hea
         return [Whole(f"  a log for each vehicle: {pasted_path(paths[0]['mcap'].parent)}")]
     shown = [Whole(f"  rerun {pasted_path(paths[0]['rerun'])}")] if "rerun" in paths[0] else []
     return [*(["", LOGS] if heading else []), *shown, Whole(f"  {pasted_path(paths[0]['mcap'])}")]
-
-
-def check_view(options: argparse.Namespace) -> None:
-    """Checks before the simulation that `--open` or `--serve` will be able to show the recording.
-
-    Raises:
-        InputError: `--no-logs` disables the recording, or no display exists for `--open`.
-    """
-    if not (options.open or options.serve):
-        return
-    if options.logs is None:
-        raise InputError(
-            f"{'--open' if options.open else '--serve'} shows the recording, but --no-logs writes no recording; omit "
-            "one of these options"
-        )
-    if options.open:
-        FEATURES.load("viewers").check_display()
-
-
-def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
-    """Shows a recording for `--open` or `--serve`, after flushing the output of the command.
-
-    Raises:
-        InputError: the viewer does not start.
-    """
-    recording = logs.get("rerun")
-    if recording is None or not (options.open or options.serve):
-        return
-    viewer = FEATURES.load("viewers")
-    sys.stdout.flush()
-    (viewer.open_viewer if options.open else viewer.serve_viewer)(Path(recording))
 
 
 def run_named(

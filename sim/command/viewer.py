@@ -1,5 +1,6 @@
 """Rerun's viewer for a recording: a window, or a web page that only this machine can open and that ends with the command."""
 
+import argparse
 import importlib.util
 import os
 import re
@@ -12,6 +13,7 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,6 +25,32 @@ LOOPBACK = "127.0.0.1"
 STARTING_TIME = 60.0  # s, longest time to wait until the web viewer answers
 FAILING_TIME = 2.0  # s; if the process of the viewer still runs after this time, the viewer counts as started
 ENDING_TIME = 3.0  # s, longest time to wait until the process ends after a signal; a process that runs longer is killed
+
+
+def check_view(options: argparse.Namespace) -> None:
+    """Checks before the simulation that `--open` or `--serve`, which the options contain, will be able to show the recording.
+
+    Raises:
+        InputError: `--no-logs` disables the recording, or no display exists for `--open`.
+    """
+    if options.logs is None:
+        raise InputError(
+            f"{'--open' if options.open else '--serve'} shows the recording, but --no-logs writes no recording; omit "
+            "one of these options"
+        )
+    if options.open:
+        check_display()
+
+
+def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
+    """Shows a recording for `--open` or `--serve`, after flushing the output of the command.
+
+    Raises:
+        InputError: the viewer does not start.
+    """
+    if (recording := logs.get("rerun")) is not None:
+        sys.stdout.flush()
+        (open_viewer if options.open else serve_viewer)(Path(recording))
 
 
 def check_display() -> None:

@@ -1,10 +1,11 @@
-"""Response of an actuator's first-order lag to commands, integrated by RK4."""
+"""Response of an actuator's first-order lag to commands, integrated by RK4, and the bandwidths of a vehicle's lags."""
 
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array, recursion
+from models.vehicle.vehicle import Vehicle
 
 SHARES = (0.0, 0.5, 0.5, 1.0)  # times at which RK4 evaluates its four stages, as fractions of a step
 WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # weights with which RK4 adds the rates of its four stages
@@ -43,3 +44,12 @@ def way_in_step(z: Any) -> Any:
         z: product of bandwidth and time step for the lag, any shape.
     """
     return z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))
+
+
+def lag_rates(vehicle: Vehicle) -> Array:
+    """Returns the bandwidth of each actuator's lag [rad/s], shape (m,); 0 for an actuator without lag."""
+    inputs = vehicle.linear_model.inputs
+    rates = np.full(len(inputs), vehicle.limits.actuator_bandwidth or 0.0)
+    for one in vehicle.parts.adjustable:
+        rates[inputs.index(one.force)] = one.damper.bandwidth or 0.0
+    return rates

@@ -34,14 +34,8 @@ from sim.runs.run import Run
 from sim.studies.ride.metrics import DEFINITIONS, LATE_WINDOW, ONE_SIDED
 from synth.analysis.record import false_claims
 from synth.controller.controller import Controller
-from synth.controller.report import (
-    LOWER_BOUND,
-    NORM,
-    failures_of_sampled_loop,
-    false_norm,
-    norm_if_implemented,
-    notes_on_sampled_loop,
-)
+from synth.controller.report import LOWER_BOUND, NORM, norm_if_implemented
+from synth.controller.sampled_report import failures_of_sampled_loop, false_norm, notes_on_sampled_loop
 
 # Key of earlier versions with the predicted effect of rounding in exported code; ignored, because the effect is now measured
 PREDICTED_KEY = "rounding"

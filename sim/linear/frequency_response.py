@@ -32,7 +32,8 @@ from models.roads.spectrum import as_met
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
 from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, road_inputs, with_ending
-from synth.plant.loop import Loop, frequency_response, stepwise_response
+from synth.plant.harmonic_response import frequency_response, stepwise_response
+from synth.plant.loop import Loop
 
 # lowest frequency [rad/s] and number of points of the grid that is searched for the peak, up to the Nyquist frequency
 LOWEST, GRID = 1e-2, 3000

@@ -99,12 +99,3 @@ class LinearMotion:
     def _pulled(self, state: Array, heights: Array, pulls: "Pulls") -> Array:
         moved = (state + heights @ self._jump) @ self._rows.T + heights @ self._of_heights.T
         return pulls(*np.split(moved, 2, axis=-1))
-
-
-def lag_rates(vehicle: Vehicle) -> Array:
-    """Returns the bandwidth of each actuator's lag [rad/s], shape (m,); 0 for an actuator without lag."""
-    inputs = vehicle.linear_model.inputs
-    rates = np.full(len(inputs), vehicle.limits.actuator_bandwidth or 0.0)
-    for one in vehicle.parts.adjustable:
-        rates[inputs.index(one.force)] = one.damper.bandwidth or 0.0
-    return rates

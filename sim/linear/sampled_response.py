@@ -25,18 +25,13 @@ The integral is computed by Gauss-Legendre quadrature with 8 nodes, which is exa
 step during which the road has a kink is divided at the kink.
 
 Preview. The preview forces, which depend on the road ahead, are added to the forces of the gain. In the sampled loop, the
-preview forces are known in advance, because they are weighted sums of the road heights. In the continuous loop, the preview
-forces are Cp g with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and d = Bp z_r' + Hp z_r; the state g decays backwards in time. The
-matrix P solves the Sylvester equation A_G P + P Ap + B Cp = 0. With y = x - P g, the right-hand side depends on the road but
-not on g, which is computed separately:
-
-    y' = A_G y + Bw z_r' + Br z_r + P d(t) - P exp(Ap T) d(t + T).
+preview forces are known in advance, because they are weighted sums of the road heights. `sim.linear.preview_response` computes
+the preview forces of the continuous loop.
 """
 
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg
@@ -53,12 +48,7 @@ from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of
 from synth.plant.loop import Loop, respond
 from synth.plant.state_space import StateSpace
 
-if TYPE_CHECKING:
-    from models.laws.preview import RoadPreview
-
 NODES = 8  # number of nodes with which the integral over a step is computed (quadrature)
-WHOLE = 1e-9  # a preview time counts as an integer number of steps if their relative difference is below this
-
 
 SLOWEST_RATE = 1e-12  # rad/s; a system with a lower fastest rate does not move within a run, and its time step would overflow
 
@@ -131,9 +121,8 @@ def continuous_response(controller: Controller, road: RoadInput) -> Response:
     if preview is None:
         states = recursion(Phi, forcing, start)
     else:
-        ahead, P, drive = _continuous_ahead(preview, system.part((), loop.forces), road)
-        moved = -P @ ahead[0] + (0.0 if start is None else start)
-        states, forces = _recursion_from(moved, Phi, (forcing + drive)[:-1]) + ahead @ P.T, ahead @ preview.C.T
+        with_preview = FEATURES.load("preview in continuous loops").with_preview
+        states, forces = with_preview(preview, system.part((), loop.forces), road, forcing, start)
     outputs = states @ system.C.T + acting_on(system, road, forces)
     response = shown_signals(loop, [road], outputs[None], controller).run(0)
     velocities, heights = (
@@ -179,90 +168,10 @@ def road_forcing(system: StateSpace, road_input: RoadInput) -> Array:
     if road_input.loaded:
         loads, kinks = road_input.road.loads, np.array(road_input.road.load_kinks)
         forcing += _forcing_integral(A, lambda t: loads(vehicle, t) @ Bl.T, kinks, road_input.time)
-    return forcing + _leaps(A, Bw, road_input) if road.jumps else forcing
+    return forcing + jump_forcing(A, Bw, road_input) if road.jumps else forcing
 
 
-def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: RoadInput) -> tuple[Array, Array, Array]:
-    """Returns g, shape (T, k), P, shape (n, k), and the road's contribution to y over each step, shape (T, n); see the module
-    docstring.
-
-    Evaluating a random road takes most of the computing time. Each road value at a quadrature node is therefore used for all
-    three integrals.
-
-    Args:
-        system: closed loop in continuous time, whose inputs are the control forces.
-    """
-    A, B = system.A, system.B
-    road, vehicle, time, h, T = (
-        road_input.relative_road,
-        road_input.vehicle,
-        road_input.time,
-        road_input.timestep,
-        preview.seconds,
-    )
-    kinks = np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)])
-    whole, later, count = int(T / h * (1 + WHOLE)), linalg.expm(preview.A * T), len(time)
-    in_steps = abs(whole * h / T - 1) <= WHOLE
-    P = linalg.solve_sylvester(A, preview.A, -B @ preview.C)
-
-    def met(t: Array) -> Array:
-        """Returns the preview input d (see module docstring) for an array of times, shape (T, k)."""
-        pushed = under_wheels(road.velocity, road, vehicle, t) @ preview.B.T
-        return pushed + under_wheels(road.displacement, road, vehicle, t) @ preview.H.T if preview.H.any() else pushed
-
-    def change(t: Array) -> Array:
-        """Returns the terms of the preview input d for the road that enters and leaves the preview window, shape (T, k)."""
-        return met(t) - met(t + T) @ later.T
-
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    after = time[-1] + h * np.arange(whole)  # sample times between the end of the run and the end of the preview
-    drive, ahead, end = np.zeros((count, len(A))), np.zeros((count, len(preview.A))), np.zeros((len(after), len(preview.A)))
-    for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
-        known = met(time[0] + h * np.arange(count + whole) + s)
-        come = known[:count] - (known[whole:] if in_steps else met(time + T + s)) @ later.T
-        drive += weight * come @ P.T @ linalg.expm(A * (h - s)).T
-        ahead += weight * come @ linalg.expm(preview.A * s).T
-        end += weight * known[count - 1 : count - 1 + whole] @ linalg.expm(preview.A * s).T
-    cuts, beyond = _cut_steps(np.concatenate([kinks, kinks - T]), time, h), _cut_steps(kinks, after, h)
-    steps = [k for k, _ in cuts]
-    drive[steps] = _over_pieces(A, lambda t: change(t) @ P.T, cuts, h)
-    ahead[steps] = _over_pieces(preview.A, change, cuts, h, backward=True)
-    end[[k for k, _ in beyond]] = _over_pieces(preview.A, met, beyond, h, backward=True)
-    Phi = linalg.expm(preview.A * h)
-    last = _recursion_from(np.zeros(len(preview.A)), Phi, end[::-1])[-1]
-    if not in_steps:  # the preview ends inside a step, not at its end
-        left, right = time[-1] + whole * h, time[-1] + T
-        edges = [left, *np.unique(kinks[(kinks > left) & (kinks < right)]), right]
-        (rest,) = _over_pieces(preview.A, met, [(0, edges)], h, backward=True)
-        last = last + linalg.expm(preview.A * (whole * h)) @ rest
-    ahead = _recursion_from(last, Phi, ahead[-2::-1])[::-1]
-    if road.jumps:
-        drive += _leaps(A, P @ preview.B, road_input) - _leaps(A, P @ later @ preview.B, road_input, T)
-        ahead = ahead + _leaps_ahead(preview, road_input)
-    return ahead, P, drive
-
-
-def _leaps_ahead(preview: "RoadPreview", road_input: RoadInput) -> Array:
-    """Returns the contribution that jumps of the road height within the preview make to the state g at the samples, shape (T,
-    k).
-    """
-    time, h = road_input.time, road_input.timestep
-    seen = np.zeros((len(time), len(preview.A)))
-    for at, wheel, height in jumps_under_wheels(road_input.road, road_input.vehicle):
-        left = at - time
-        for k in np.flatnonzero((left >= -SAME_TIME * h) & (left < preview.seconds - SAME_TIME * h)):
-            seen[k] += height * linalg.expm(preview.A * max(left[k], 0.0)) @ preview.B[:, wheel]
-    return seen
-
-
-def _recursion_from(start: Array, Phi: Array, forcing: Array) -> Array:
-    """Returns the solution of x[k+1] = Phi x[k] + forcing[k], shape (T + 1, n), for the initial state `start`, shape (n,); see
-    `recursion`.
-    """
-    return recursion(Phi, np.concatenate([start[None], forcing, start[None]]))[1:]
-
-
-def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Array:
+def jump_forcing(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Array:
     """Returns the contribution of jumps of the road height to the state, for each step, shape (T, n).
 
     A jump of the road height is an impulse of the road velocity, which acts through the matrix Bw.
@@ -290,12 +199,12 @@ def _forcing_integral(A: Array, push: Callable[[Array], Array], kinks: Array, ti
         time: start of each step [s].
     """
     h = float(time[1] - time[0])
-    forcing, cuts = _convolution(A, push, time, h), _cut_steps(kinks, time, h)
-    forcing[[k for k, _ in cuts]] = _over_pieces(A, push, cuts, h)
+    forcing, cuts = _convolution(A, push, time, h), cut_steps(kinks, time, h)
+    forcing[[k for k, _ in cuts]] = over_pieces(A, push, cuts, h)
     return forcing
 
 
-def _over_pieces(
+def over_pieces(
     A: Array, push: Callable[[Array], Array], cuts: Sequence[tuple[int, list[float]]], h: float, backward: bool = False
 ) -> Array:
     """Returns the integral of exp(A (end - t)) push(t) over each of the K divided steps, shape (K, n).
@@ -329,7 +238,7 @@ def _over_pieces(
 CHEBYSHEV = 16  # number of nodes of the Chebyshev polynomial, whose degree is one less
 
 
-def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[float]]]:
+def cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[float]]]:
     """Returns the steps that contain a kink: for each step, the index, and a list of the times of start, kinks and end [s]."""
     found = []
     for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)) if len(time) else ():

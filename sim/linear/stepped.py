@@ -34,10 +34,10 @@ from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
 from models.vehicle.vehicle import Vehicle
-from sim.drive.recursion import SHARES, WEIGHTS, recursion
+from sim.drive.recursion import SHARES, WEIGHTS, lag_rates, recursion
 from sim.drive.response import Response
 from sim.linear.dampers import damper_signals, stretching_rates
-from sim.linear.linear_motion import lag_rates, suspensions_of
+from sim.linear.linear_motion import suspensions_of
 from sim.linear.outputs import forces_ahead, response_of, with_linear_sides
 from synth.controller.controller import Controller
 

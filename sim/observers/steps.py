@@ -28,9 +28,8 @@ from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
 from models.vehicle.vehicle import Vehicle
-from sim.drive.recursion import SHARES, WEIGHTS, lag_commands, lag_stages
+from sim.drive.recursion import SHARES, WEIGHTS, lag_commands, lag_rates, lag_stages
 from sim.drive.response import Response
-from sim.linear.linear_motion import LinearMotion, lag_rates
 from sim.linear.rounding import roundings
 from sim.observers.recorder import Recording, from_steady
 from sim.observers.results import StepAgreement
@@ -48,6 +47,8 @@ def motion_of(vehicle: Vehicle) -> "Motion | None":
     """Returns the exact equations of motion of a vehicle; None if only its MuJoCo model defines them."""
     if vehicle.kind.motion is not None:
         return vehicle.kind.motion(vehicle.kind.at_wheels(vehicle.parameters))
+    from sim.linear.linear_motion import LinearMotion
+
     try:
         return None if has_geometry(vehicle) else LinearMotion(vehicle)
     except ValueError:

@@ -5,7 +5,8 @@ After a jump in time, players show the last message of each topic. Every message
 complete. The shapes of the bodies do not change, so they are written once, to a separate topic `/shapes`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,10 +27,14 @@ from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrim
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.duration_pb2 import Duration
 from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.well_known import SchemaEncoding
+from mcap_protobuf.schema import build_file_descriptor_set
 
 from models.common.arrays import Array
+from models.document.figure import rgb, styles
+from sim.recording.mcap_writer import Channel, Schema, nanoseconds, topic
 from sim.recording.run_log import RunLog
-from sim.recording.scene import FORCE, LIFTED_COLOUR, LINES, Shape, arrows, strut_lines, tyre_surface
+from sim.recording.scene import FORCE, LIFTED_COLOUR, LINES, Shape, arrows, largest_force, strut_lines, tyre_surface
 
 WORLD = "world"
 POINT = np.dtype([("head", "u1", 2), *((f"{kind}{axis}", how) for axis in "xyz" for kind, how in (("tag_", "u1"), ("", "<f8")))])
@@ -38,6 +43,35 @@ SHORTEST = 1e-3  # m; a force is not drawn if its arrow would be shorter than th
 GRID = 2.0**-12
 
 Messages = Iterator[Any]
+
+
+def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
+    """Yields the channels with published schemas: the events and the scene."""
+    largest = largest_force(run.scene for run in runs)
+    stand, looks = np.zeros(3), styles(tuple(run.name for run in runs))
+    for run in runs:
+        run = replace(run, scene=run.scene.finite())
+        times = nanoseconds(run.scene.time)
+        happened = nanoseconds(np.array([time for time, _ in run.events]))
+        colour = rgb(looks[run.name].color)
+        first = times[:1] or [0]
+        for name, kind, when, messages in (
+            ("events", Log, happened, events(run, happened)),
+            ("transforms", FrameTransforms, times, transforms(run, times, stand)),
+            ("shapes", SceneUpdate, first, shapes(run, first[0], colour)),
+            ("scene", SceneUpdate, times, moving_entities(run, times, largest)),
+        ):
+            contents = (message.SerializeToString() for message in messages)
+            if when or name == "events":  # an event panel needs its topic even in a run without events
+                yield topic(runs, run, name), _published_schema(kind), {}, when, contents
+        low, high = run.scene.extent()
+        stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # the cars of all runs are placed in a row
+
+
+def _published_schema(kind: type) -> Schema:
+    """Returns the schema of a message type, including the schemas of its fields."""
+    data = build_file_descriptor_set(kind).SerializeToString()
+    return kind.DESCRIPTOR.full_name, SchemaEncoding.Protobuf, data  # pyright: ignore[reportAttributeAccessIssue] - generated
 
 
 def frame(run: RunLog, body: str = "") -> str:

@@ -6,7 +6,6 @@ the responses, without generated code. Each field of a message has the same name
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
 
@@ -17,11 +16,9 @@ from mcap.writer import Writer
 
 from models.common.arrays import Array
 from models.common.extensions import FEATURES
-from models.document.figure import rgb, styles
 from models.kinds.signals import Signal
 from sim.drive.response import Response
 from sim.recording.run_log import RunLog
-from sim.recording.scene import largest_force
 
 PACKAGE = "roadproof"
 
@@ -93,10 +90,11 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
                 topic(runs, run, name),
                 _signals_schema(response.signals, number, kind),
                 {signal.name: _describe_signal(signal) for signal in response.signals},
-                _nanoseconds(response.time),
+                nanoseconds(response.time),
                 _encode_samples(response, kind),
             )
-    yield from _published_channels(runs)
+    if (scene := FEATURES.load_if_known("scene of a log")) is not None:
+        yield from scene.channels(runs)
 
 
 def topic(runs: Sequence[RunLog], run: RunLog, name: str) -> str:
@@ -104,7 +102,7 @@ def topic(runs: Sequence[RunLog], run: RunLog, name: str) -> str:
     return f"/{run.name}/{name}" if len(runs) > 1 else f"/{name}"
 
 
-def _nanoseconds(time: Array) -> list[int]:
+def nanoseconds(time: Array) -> list[int]:
     """Returns times [s] converted to nanoseconds."""
     return np.round(time * 1e9).astype(np.int64).tolist()
 
@@ -165,37 +163,3 @@ def _varint(value: int) -> bytes:
     """
     low, rest = value & 0x7F, value >> 7
     return bytes([low | 0x80]) + _varint(rest) if rest else bytes([low])
-
-
-def _published_channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
-    """Yields the channels with published schemas: the events and the scene."""
-    scene = FEATURES.load_if_known("scene of a log")
-    if scene is None:
-        return
-    largest = largest_force(run.scene for run in runs)
-    stand, looks = np.zeros(3), styles(tuple(run.name for run in runs))
-    for run in runs:
-        run = replace(run, scene=run.scene.finite())
-        times = _nanoseconds(run.scene.time)
-        happened = _nanoseconds(np.array([time for time, _ in run.events]))
-        colour = rgb(looks[run.name].color)
-        first = times[:1] or [0]
-        for name, kind, when, messages in (
-            ("events", scene.Log, happened, scene.events(run, happened)),
-            ("transforms", scene.FrameTransforms, times, scene.transforms(run, times, stand)),
-            ("shapes", scene.SceneUpdate, first, scene.shapes(run, first[0], colour)),
-            ("scene", scene.SceneUpdate, times, scene.moving_entities(run, times, largest)),
-        ):
-            contents = (message.SerializeToString() for message in messages)
-            if when or name == "events":  # an event panel needs its topic even in a run without events
-                yield topic(runs, run, name), _published_schema(kind), {}, when, contents
-        low, high = run.scene.extent()
-        stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # the cars of all runs are placed in a row
-
-
-def _published_schema(kind: type) -> Schema:
-    """Returns the schema of a message type, including the schemas of its fields."""
-    from mcap_protobuf.schema import build_file_descriptor_set
-
-    data = build_file_descriptor_set(kind).SerializeToString()
-    return kind.DESCRIPTOR.full_name, SchemaEncoding.Protobuf, data  # pyright: ignore[reportAttributeAccessIssue] - generated

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from models.common.checks import Must
 from sim.drive.response import Response, difference
-from sim.recording.scene import Scene
 
 if TYPE_CHECKING:
+    from sim.recording.scene import Scene
     from sim.runs.force_diagram import Diagram
 
 
@@ -59,7 +59,7 @@ class RunLog:
     metadata: Mapping[str, str]
     events: tuple[tuple[float, str], ...]
     summary: str
-    scene: Scene
+    scene: "Scene"
     verdict: str = ""
     files: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)
     other_signals: Mapping[str, Response] = field(default_factory=dict)

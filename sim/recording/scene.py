@@ -7,12 +7,33 @@ import mujoco
 import numpy as np
 
 from models.common.arrays import Array
+from models.roads.road import Road, RoadInput, delays
+from models.vehicle.mjcf import FITTED_PREFIX, build_model, mocap_indices
+from models.vehicle.vehicle import Vehicle
+from sim.drive.loop import DIVERGENCE_LIMIT
+from sim.drive.response import Response
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's Python bindings have no type stubs.
+
+FORMS = {
+    int(mujoco.mjtGeom.mjGEOM_BOX): "box",
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
+}
+
+FRAMES = 60  # frames of the recorded motion per second
+
+BEHIND, AHEAD = 6.0, 12.0  # m, drawn road behind the last wheel at the start, and ahead of the first wheel at the end
+# spacing of the points of a road profile [m], and largest number of its points, without the points under wheels
+SPACING, MOST = 0.05, 20_000
 
 
 def rotation_matrix(quaternion: Array) -> Array:
     """Returns the rotation matrix of a quaternion (w, x, y, z), shape (3, 3). The quaternion need not be normalised."""
     matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, quaternion / np.linalg.norm(quaternion))  # pyright: ignore[reportAttributeAccessIssue] - no stubs
+    mujoco.mju_quat2Mat(matrix, quaternion / np.linalg.norm(quaternion))
     return matrix.reshape(3, 3)
 
 
@@ -186,6 +207,127 @@ class Scene:
         if not corners:
             return np.full(3, -1.0), np.full(3, 1.0)
         return np.min(corners, axis=0), np.max(corners, axis=0)
+
+
+def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
+    """Converts a run to a scene with 60 frames per second.
+
+    The names of the elements in the MuJoCo model determine what is drawn. A spring is drawn from every site `NAME_bottom` to
+    the site `NAME_top`, with the force of the actuator on the tendon NAME. A cylinder that has the name of a tendon is drawn as
+    a tyre; the length of the tendon is the height of the hub above the road.
+
+    Args:
+        road_input: vehicle and road, at the samples of the response.
+        physics: simulated response at equidistant sample times, which begin at 0.
+        qpos: MuJoCo's generalised positions, shape (T, nq).
+    """
+    vehicle, time, timestep = road_input.vehicle, physics.time, road_input.timestep
+    model = build_model(vehicle, timestep)
+    data = mujoco.MjData(model)
+    frames = np.unique(np.round(np.arange(0, time[-1], 1 / FRAMES) / timestep).astype(int))
+    frames = frames[np.all(np.abs(qpos[frames]) < DIVERGENCE_LIMIT, axis=-1)]
+    # The stored road heights are used, because a random road is slow to compute at uneven times
+    heights = road_input.heights[frames]
+    mocap = mocap_indices(vehicle, model)
+    sites = [model.site(i).name for i in range(model.nsite)]
+    springs = [name.removesuffix("_bottom") for name in sites if name.endswith("_bottom")]
+    ends = np.array([[model.site(f"{name}_{end}").id for end in ("bottom", "top")] for name in springs], dtype=int).reshape(-1, 2)
+
+    positions, quaternions = np.empty((len(frames), model.nbody, 3)), np.empty((len(frames), model.nbody, 4))
+    coils, lengths = np.empty((len(frames), len(springs), 2, 3)), np.empty((len(frames), model.ntendon))
+    for f, frame in enumerate(frames):
+        data.qpos[:] = qpos[frame]
+        data.mocap_pos[mocap, 2] = heights[f]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
+        positions[f], quaternions[f], coils[f], lengths[f] = data.xpos, data.xquat, data.site_xpos[ends], data.ten_length
+
+    tendons = {model.tendon(i).name: i for i in range(model.ntendon)}
+    drawn = [i for i in range(model.ngeom) if int(model.geom_type[i]) in FORMS]
+    rubber = [i for i in drawn if model.geom(i).name in tendons and FORMS[int(model.geom_type[i])] == "cylinder"]
+    return Scene(
+        time=time[frames],
+        shapes=tuple(_shape(model, i) for i in drawn if i not in rubber),
+        bodies={model.body(i).name: Motion(positions[:, i], quaternions[:, i]) for i in range(1, model.nbody)},
+        springs={name: coils[:, i] for i, name in enumerate(springs)},
+        tyres=tuple(_tyre(model, i, tendons[model.geom(i).name], lengths) for i in rubber),
+        forces={name: physics[signal][frames] for name, signal in _actuators(model).items() if name in springs},
+        tracks=_tracks(vehicle, road_input.relative_road, data.mocap_pos[mocap], time[frames], heights),
+    )
+
+
+def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: Array) -> tuple[Track, ...]:
+    """Returns the road profiles, one for each track; a test rig has none, because its posts are bodies.
+
+    Args:
+        places: positions of the wheels in the world [m], shape (r, 3).
+        time: times of the frames [s], shape (F,).
+        heights: road heights under the wheels at the times of the frames [m], shape (F, r).
+    """
+    if not len(time) or not road.laid:
+        return ()
+    # Wheel positions in the drawing and in the parameters are compared with a tolerance of a micrometre. Wheels whose positions
+    # differ get their own road profiles.
+    wheels: dict[tuple[str, float, float], list[int]] = {}
+    later = np.array(delays(road, vehicle))
+    for i, wheel in enumerate(vehicle.kind.wheels):
+        start = places[i, 0] + road.speed * later[i]
+        wheels.setdefault((wheel.side, round(start, 6), round(places[i, 1], 6)), []).append(i)
+
+    first, last = -BEHIND / road.speed - later.max(), time[-1] + AHEAD / road.speed
+    count = int(min(np.ceil((last - first) * road.speed / SPACING) + 1, MOST))
+    even = np.linspace(first, last, count)  # evenly spaced times, at which a random road can be computed quickly
+    tracks = []
+    for (side, start, middle), members in wheels.items():
+        # The road profile has a point under every wheel in every frame.
+        t, once = np.unique(np.concatenate([even, *(time - later[i] for i in members)]), return_index=True)
+        height = np.concatenate([road.displacement(even, side), *heights[:, members].T])[once]
+        bodies = tuple(vehicle.kind.wheels[i].road_body for i in members)
+        tracks.append(Track(middle, start + road.speed * t, height, road.speed * time, bodies))
+    return tuple(tracks)
+
+
+def _actuators(model: mujoco.MjModel) -> dict[str, str]:
+    """Returns the signal of every actuator that acts on a tendon; the keys are the names of the tendons. Actuators that
+    represent characteristics are omitted.
+    """
+    on_tendon = int(mujoco.mjtTrn.mjTRN_TENDON)
+    names = {i: model.actuator(i).name for i in range(model.nu) if int(model.actuator_trntype[i]) == on_tendon}
+    controls = {i: name for i, name in names.items() if not name.startswith(FITTED_PREFIX)}
+    return {model.tendon(int(model.actuator_trnid[i, 0])).name: name for i, name in controls.items()}
+
+
+def _tyre(model: mujoco.MjModel, i: int, tendon: int, lengths: Array) -> Tyre:
+    """Returns the drawn tyre that represents the MuJoCo geom `i`.
+
+    The tendon of the tyre runs from the road to the hub, and is slack above the radius of the tyre.
+    """
+    shape = _shape(model, i)
+    return Tyre(
+        name=shape.name,
+        body=shape.body,
+        radius=float(model.tendon_lengthspring[tendon, 0]),
+        half_width=float(shape.half_size[1]),
+        middle=float(shape.position[1]),
+        height=lengths[:, tendon],
+        rgba=shape.rgba,
+    )
+
+
+def _shape(model: mujoco.MjModel, i: int) -> Shape:
+    geom = model.geom(i)
+    form = FORMS[int(model.geom_type[i])]
+    material = int(model.geom_matid[i])
+    return Shape(
+        name=geom.name,
+        body=model.body(int(geom.bodyid[0])).name,
+        form=form,
+        half_size=geom.size.copy(),
+        position=geom.pos.copy(),
+        quaternion=geom.quat.copy(),
+        rgba=(model.mat_rgba[material] if material >= 0 else geom.rgba).copy(),
+    )
 
 
 TURNS, POINTS = 6, 49  # number of turns of a drawn coil spring, and number of points of the line that draws it

@@ -19,7 +19,8 @@ from sim.studies.subject import Subject
 from synth.analysis.specification import Specification
 from synth.command.table import Row, describe
 from synth.controller.controller import Controller
-from synth.controller.report import BOUND, NORM, failures_of_sampled_loop, study_notes
+from synth.controller.report import BOUND, NORM, study_notes
+from synth.controller.sampled_report import failures_of_sampled_loop
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import BOX, PRINTED_NUMBERS, SEED, Way, WithoutL, entry_of, is_the_papers, ours, remark_4, remark_5
 

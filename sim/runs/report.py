@@ -46,13 +46,11 @@ from synth.controller.report import (
     BOUND,
     NORM,
     PEAK,
-    failures_of_sampled_loop,
     filter_lines,
     growth_lines,
     ideal_lines,
     named_gain,
     norm_if_implemented,
-    notes_on_sampled_loop,
     study_notes,
 )
 from synth.controller.report import notes as controller_remarks
@@ -116,8 +114,11 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
         *growth_lines(vehicle, controller),
         *controller_remarks(controller),
         *certificate.remarks,
-        *notes_on_sampled_loop(vehicle, certificate, built),
-        *failures_of_sampled_loop(vehicle, certificate, certificate.loop_failures, built),
+        *(
+            certificate.loop_failures
+            if built is None
+            else FEATURES.load("norms of sampled loops").remarks_on_sampled_loop(vehicle, certificate, built)
+        ),
     ]
 
 

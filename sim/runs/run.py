@@ -13,7 +13,6 @@ from models.common.errors import InputError
 from models.common.extensions import FEATURES, OBSERVERS
 from models.document.document import Block, Document
 from models.document.text import ShownResult, facts
-from models.kinds.plausibility import known_quantities, remarks
 from models.roads.road import Road
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.names import PASSIVE
@@ -61,12 +60,9 @@ class Run(RunResult, ShownResult):
     @property
     def figures(self) -> tuple[Block, ...]:
         """Table of the peak and rms of all signals, and a plot of the first signal with a weight over time."""
-        from models.document.figure import BLUE, Figure, Style
         from sim.runs.report import signal_table
 
-        panels = FEATURES.load("time histories").history_panels([self], {self.controller.name: Style(BLUE, "solid", "o")})[:1]
-        figure = Figure("run", "Lines show the exact sampled response, markers show MuJoCo.", tuple(panels), columns=1)
-        return (signal_table(self), *([figure] if panels else []))
+        return (signal_table(self), *FEATURES.load("time histories").first_history(self))
 
 
 def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
@@ -113,7 +109,8 @@ def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
                 f"[parts.{name}] to slow this state down"
             )
         units = ", and check that masses are in kg, stiffness in N/m and damping in N s/m"
-        if improbable := remarks(known_quantities(vehicle)):
+        doubts = FEATURES.load_if_known("doubts about numbers")
+        if doubts and (improbable := doubts.vehicle_remarks(vehicle)):
             raise InputError(f"timestep = {timestep} s is too large: {above}; {improbable[0]}")
         instead = "give 0.001, for example" if largest > 1e-3 else f"give a smaller timestep{units if largest < STIFF else ''}"
         raise InputError(f"timestep = {timestep} s is too large: {above}; {instead}")

@@ -10,7 +10,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import as_name
-from models.document.figure import GREY, Curve, Figure, Panel, Style, axis_ends, drawn_indices, styles
+from models.document.figure import BLUE, GREY, Curve, Figure, Panel, Style, axis_ends, drawn_indices, styles
 from models.kinds.signals import Signal
 from sim.drive.response import Response
 from sim.observers.results import WHEN
@@ -229,6 +229,13 @@ def history_figure(runs: Sequence[RunResult], where: str, measured: Response | N
         lines += ". After the end of the linear regime, thick lines and full markers show MuJoCo, thin lines the sampled response"
     title = f"{kind} over {where}. {lines}{note}"
     return Figure("runs", title, tuple(panels), columns, finding=_least(runs))
+
+
+def first_history(run: RunResult) -> list[Figure]:
+    """Returns the figure of a run's first signal with a weight; an empty list if no such signal moves."""
+    panels = history_panels([run], {run.controller.name: Style(BLUE, "solid", "o")})[:1]
+    title = "Lines show the exact sampled response, markers show MuJoCo."
+    return [Figure("run", title, tuple(panels), columns=1)] if panels else []
 
 
 def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:

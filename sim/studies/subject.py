@@ -21,7 +21,7 @@ from synth.analysis.specification import SampledNorm
 from synth.controller.controller import AnyController, Controller
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.controller.loop_of import loop_of, radius
-from synth.controller.report import has_sampled_norm
+from synth.controller.sampled_report import has_sampled_norm
 from synth.vehicle.designer import Designer
 
 BUMP_DURATION = 3.0  # s, time for which the vehicle drives over the bump

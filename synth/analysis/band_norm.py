@@ -19,9 +19,10 @@ import numpy as np
 
 from models.common.errors import InputError, short_repr
 from models.common.printed import digits, rough
-from synth.analysis.norm import EXACT, Gain, Norm, by_both_routes, discrete_by_both_routes, proposals
+from synth.analysis.norm import EXACT, Gain, Norm, by_both_routes, proposals
 from synth.analysis.specification import FREQUENCY
 from synth.analysis.stability import Stability, stability
+from synth.analysis.twice_precision import discrete_by_both_routes
 from synth.plant.discrete import continuous_loop, mapped_frequency, true_frequency
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, numerics

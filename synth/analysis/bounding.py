@@ -17,7 +17,7 @@ from synth.plant.numerics import numerics
 from synth.plant.units import size
 
 if TYPE_CHECKING:
-    from synth.analysis.lower_bound import LowerBound
+    from synth.analysis.lower_bounds.lower_bound import LowerBound
 
 MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative gaps between bound and norm, tried in this order until a bound is proved
 # if the norm is nearly zero, these bounds are tried; they are relative to a gain that is estimated from the size of the

@@ -46,7 +46,7 @@ from models.common.extensions import FEATURES
 from models.common.printed import about, difference, digits, magnitude
 from models.document.document import Document
 from models.document.text import ShownResult, facts
-from synth.analysis.norm import Norm, gain_at, hinf_norm
+from synth.analysis.norm import Norm, hinf_norm
 from synth.analysis.rigorous import SMALLEST, Definiteness, definiteness, floats, integers, product, zeros
 from synth.analysis.stability import Stability, balance, beside_weights, stability
 from synth.plant.generalized import Feedback, Plant, check_states
@@ -55,7 +55,7 @@ from synth.plant.units import speed
 
 if TYPE_CHECKING:
     from models.document.figure import Figure
-    from synth.analysis.lower_bound import LowerBound
+    from synth.analysis.lower_bounds.lower_bound import LowerBound
 
 
 # The module of the class LowerBound is imported only where the class is used.
@@ -339,7 +339,7 @@ class Certificate(ShownResult):
         """
         if not np.isfinite(self.norm.value):
             return False
-        there = gain_at(self.loop, omega)
+        there = FEATURES.load("norms with twice the precision").gain_at(self.loop, omega)
         allowed = PEAKS_AGREE * self.norm.value if self.norm.value > self.norm_rounding else self.norm_rounding
         return abs(there - self.norm.value) <= allowed
 

@@ -21,7 +21,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.errors import InputError
 from synth.analysis.certificate import LmiProof, prove_bound
-from synth.analysis.rigorous import definiteness, floats, integers, product, root_above
+from synth.analysis.rigorous import definiteness, floats, integers, product
 from synth.analysis.stability import balance, stability
 from synth.plant.generalized import Feedback, Plant, check_continuous, real_matrix
 from synth.plant.numerics import DesignError, numerics
@@ -122,7 +122,7 @@ def _bounds(plant: Plant, G: Array | Feedback, Cs: Array, Ds: Array, X: Array) -
     c = states * (over * per * under) + product(through, product(gain, rows)) * unit
     whole = unit * over * per * under
     square, scale = product(c, product(unknown, c.T)), whole**2 * one
-    bounds = np.array([root_above(Fraction(int(square[i, i]), scale)) for i in range(len(c))])
+    bounds = np.array([_root_above(Fraction(int(square[i, i]), scale)) for i in range(len(c))])
     together = float(np.linalg.eigvalsh(floats(square, Fraction(1, scale)))[-1]) ** 0.5
     for higher in HIGHER:
         bound = together * (1 + higher)
@@ -132,4 +132,9 @@ def _bounds(plant: Plant, G: Array | Feedback, Cs: Array, Ds: Array, X: Array) -
         if definiteness(floats(margin, Fraction(1, scale * limit.denominator))).proved:
             return bounds, bound
     # the sum is the trace of the matrix
-    return bounds, root_above(sum((Fraction(int(square[i, i]), scale) for i in range(len(c))), Fraction(0)))
+    return bounds, _root_above(sum((Fraction(int(square[i, i]), scale) for i in range(len(c))), Fraction(0)))
+
+
+def _root_above(square: Fraction) -> float:
+    """Returns a float that is at least the square root of a number."""
+    return float(np.nextafter(np.nextafter(float(square) ** 0.5, np.inf), np.inf)) if square > 0 else 0.0

@@ -21,7 +21,7 @@ with twice the precision. For the refinement, the sum A + B G is used without ro
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import linalg
@@ -30,14 +30,11 @@ from models.common.arrays import Array
 from models.common.extensions import FEATURES
 from models.common.threads import one_thread
 from synth.analysis.stability import balance, stability, stability_of_balanced
-from synth.plant.double_double import solve_closely, with_imaginary
 from synth.plant.generalized import Plant
 from synth.plant.units import nearest_power
 
 # number of tenfold refinements of a frequency interval; the gain is then accurate to 1e-12, because it is flat at a maximum
 ZOOMS = 6
-CLOSE_ZOOMS = 8  # number of tenfold refinements with twice the precision; the gain is then accurate to 1e-16
-WITHIN = 1e-4  # frequency step with which a parabola is fitted to a peak, relative to the damping of the nearest pole
 ILL_CONDITIONED = 1e6  # condition number of the eigenvectors above which the modal form has fewer than ten correct digits
 ALIKE = 1e-9  # the modal form may be used to select frequencies if its error is below this multiple of the largest gain
 
@@ -55,46 +52,10 @@ def largest_singular_values(T: Array) -> Array:
     return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))
 
 
-def highest(T: Array, above: float) -> tuple[float, int]:
-    """Returns the largest singular value among F matrices, T of shape (F, d, r), and the index of the matrix to which it
-    belongs.
-
-    Singular values up to `above` are ignored. If no singular value exceeds `above`, returns 0 and the index -1. Most matrices
-    are excluded by their Frobenius norm, which is cheap to compute.
-    """
-    squares = (np.real(T) ** 2 + np.imag(T) ** 2).reshape(len(T), -1).sum(axis=1)
-    among = np.flatnonzero(~(squares <= above * above))
-    if not len(among):
-        return 0.0, -1
-    gains = largest_singular_values(T[among])
-    i = int(gains.argmax())
-    return float(gains[i]), int(among[i])
-
-
 def _smaller_square(T: Array) -> Array:
     """Returns T T' or T' T, whichever has fewer rows."""
     adjoint = T.conj().transpose(0, 2, 1)
     return T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
-
-
-def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
-    """Returns the frequency response Dw + C (j omega - A)^-1 Bw (19), computed with twice the precision, and an estimate of its
-    error.
-
-    Args:
-        system: system from w to z, including `beyond`, the low-order digits of its matrices.
-        omega: angular frequencies [rad/s], shape (F,).
-
-    Returns:
-        The frequency response T, complex, shape (F, d, r), and the largest change of its entries in the last iteration, shape
-        (F,).
-    """
-    n, Bw = len(system.A), system.Bw
-    beyond = np.zeros((n + len(system.C), n)) if system.beyond is None else system.beyond
-    turned = omega[:, None, None] * np.eye(n)
-    high, low = with_imaginary(np.broadcast_to(-system.A, turned.shape), turned), with_imaginary(-beyond[:n], np.zeros((n, n)))
-    T, moved = solve_closely(high, low, np.vstack([Bw, 0 * Bw]), system.C, beyond[n:])
-    return T + system.Dw, moved
 
 
 class Gain:
@@ -136,21 +97,11 @@ class Gain:
         """Returns the gains of `at`, but computed from the modal form if this form's relative error is at most ALIKE."""
         return self.at(omega) if self._residues is None else self._by_modes(self._residues, omega)
 
-    def at_poles(self) -> float:
-        """Returns the largest gain at infinity, at the ends of the interval and near the poles.
-
-        The returned gain is a lower bound on the norm and close to the norm.
-        """
-        upper = self.poles[np.imag(self.poles) >= 0]
-        omega = self.within(np.concatenate([self.edges, np.abs(upper), np.imag(upper)]))
-        gains = largest_singular_values(self.system.frequency_response(omega))
-        return max(float(gains.max()), self.at_infinity if self.high == np.inf else 0.0)
-
     def climb(self, omega: Array, width: Array) -> tuple[float, float]:
         """Returns the highest gain within the distances `width` of the frequencies `omega`, and the frequency of this gain
         [rad/s].
         """
-        at = self._climbed(self.about, omega, width)
+        at = self.climbed(self.about, omega, width)
         return float(self.at(at)[0]), float(at[0])
 
     def rounding(self, omega: Array) -> float:
@@ -165,22 +116,6 @@ class Gain:
         lost = seen @ ((np.abs(A) + omega[:, None, None] * np.eye(n)) @ driven) + C @ driven
         return float((n + 2) * np.finfo(float).eps * np.linalg.norm(lost, axis=(1, 2)).max(initial=0.0))
 
-    def rounded(self, omega: Array) -> float:
-        """Returns the largest rounding error of the gains that `at` computes at some frequencies [rad/s], measured with twice
-        the precision.
-        """
-        gains, missing = self.at_double_double(omega)
-        return float((np.abs(self.at(omega) - gains) + missing).max())
-
-    def at_double_double(self, omega: Array) -> tuple[Array, Array]:
-        """Returns the gains of `at`, computed with twice the precision, and bounds on their errors, both of shape (F,)."""
-        T, missing = transfer_matrix_closely(self.system, omega)
-        return largest_singular_values(T), missing
-
-    def missing(self, at: float) -> float:
-        """Returns the bound on the error that `at_double_double` has at the frequency `at` [rad/s]; 0 at infinite frequency."""
-        return float(self.at_double_double(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
-
     def grid_error(self, at: float) -> float:
         """Returns the relative amount by which the true peak may exceed the highest gain found, to second order.
 
@@ -188,39 +123,8 @@ class Gain:
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
-        apart = np.spacing(at) + 10.0**-ZOOMS * float(self._width(np.array([at]))[0])
+        apart = np.spacing(at) + 10.0**-ZOOMS * float(self.width(np.array([at]))[0])
         return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
-
-    def missed_closely(self, at: float) -> float:
-        """Returns the bound of `grid_error`, computed with twice the precision.
-
-        The result is needed if rounding may have moved the poles, so that the search may have missed a peak.
-
-        Near a resonance, gain^-2 is a parabola in the frequency. The parabola is fitted through the gains at three frequencies.
-        """
-        if not (np.isfinite(at) and len(self.poles)):
-            return 0.0
-        # the gain at the end of the interval is exact; peaks outside the interval do not count
-        if at > 0 and at in (self.low, self.high):
-            return self.grid_error(at)
-        step = max(float(np.spacing(at)), WITHIN * float(self._width(np.array([at]))[0]))
-        (below, here, above), _ = self.at_double_double(np.array([at - step, at, at + step]))
-        left, right = (here / below) ** 2, (here / above) ** 2
-        bent, slope = left + right - 2, (right - left) / 2
-        lowest = min(1 - slope**2 / (2 * bent) if bent > 0 else 1.0, left, right)
-        return float(lowest**-0.5 - 1)
-
-    def refined_peak(self, at: float) -> tuple[float, float]:
-        """Returns the highest gain near `at` [rad/s] or near any pole, computed with twice the precision, and its frequency
-        [rad/s].
-        """
-        omega = np.concatenate([[self.low], np.abs(self.poles), np.abs(np.imag(self.poles)), [at] if np.isfinite(at) else []])
-        omega = self.within(omega)
-        gains, _ = self.at_double_double(omega)
-        high = np.unique(omega[gains > 0.9 * gains.max()])
-        there = self._climbed(lambda near: self.at_double_double(near)[0], high, self._width(high), CLOSE_ZOOMS)
-        best, there = float(self.at_double_double(there)[0][0]), float(there[0])
-        return self.or_at_infinity(best, there)
 
     def or_at_infinity(self, best: float, at: float) -> tuple[float, float]:
         """Returns the gain `best` or the gain at infinite frequency, whichever is larger, and its frequency: `at` or infinity.
@@ -229,7 +133,7 @@ class Gain:
         """
         return (self.at_infinity, np.inf) if self.high == np.inf and self.at_infinity > best else (best, at)
 
-    def _climbed(self, gain: Callable[[Array], Array], omega: Array, width: Array, zooms: int = ZOOMS) -> Array:
+    def climbed(self, gain: Callable[[Array], Array], omega: Array, width: Array, zooms: int = ZOOMS) -> Array:
         """Returns the frequency [rad/s] of the highest gain within the distances `width` of the frequencies `omega`, shape
         (1,).
         """
@@ -240,7 +144,7 @@ class Gain:
             omega, width = near[there.argmax(axis=0), np.arange(len(omega))], width / 10
         return omega[[gain(omega).argmax()]]
 
-    def _width(self, omega: Array) -> Array:
+    def width(self, omega: Array) -> Array:
         """Returns the damping of the pole that is nearest to each frequency [rad/s]. No peak is narrower than this damping."""
         nearest = np.abs(omega[:, None] * 1j - self.poles).argmin(axis=1)
         return np.abs(np.real(self.poles[nearest]))
@@ -319,7 +223,8 @@ def hinf_norm(system: Plant) -> Norm:
     if system.dt is not None:
         if not stability(system.A, system.dt).stable:
             return unstable
-        return discrete_by_both_routes(system, system.dt, Gain(FEATURES.load("discrete plants").continuous_loop(system)))
+        gain = Gain(FEATURES.load("discrete plants").continuous_loop(system))
+        return FEATURES.load("norms with twice the precision").discrete_by_both_routes(system, system.dt, gain)
     gain = Gain(system)
     return by_both_routes(gain) if gain.stable else unstable
 
@@ -335,42 +240,13 @@ def by_both_routes(gain: Gain) -> Norm:
     ends, grid_error = ends[np.isfinite(ends)], gain.grid_error
     rounding = gain.rounding(ends)
     if rounding > SEEN * max(sweep, level):  # this error bound is often far too large, so the rounding error is measured
-        rounding, grid_error = gain.rounded(ends), gain.missed_closely
-    if rounding > SEEN * max(sweep, level):
-        (sweep, at_sweep), (level, at_level) = gain.refined_peak(at_sweep), gain.refined_peak(at_level)
-        rounding = max(gain.missing(at) for at in (at_sweep, at_level))
+        closely = FEATURES.load("norms with twice the precision")
+        rounding, grid_error = closely.rounding_error(gain, ends), partial(closely.missed_peak, gain)
+        if rounding > SEEN * max(sweep, level):
+            (sweep, at_sweep), (level, at_level) = (closely.refined_peak(gain, at) for at in (at_sweep, at_level))
+            rounding = max(closely.error_of_closely(gain, at) for at in (at_sweep, at_level))
     value, at = (sweep, at_sweep) if sweep >= level else (level, at_level)
     return Norm(value, at, level, sweep, rounding / value + grid_error(at) + gain.last if value else 0.0)
-
-
-def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
-    """Returns the largest gain of a discrete system, computed by both methods (level sets and frequency sweep).
-
-    The bilinear transform maps the system to a continuous system, in which the methods search for frequencies with a large
-    gain. The returned gain is computed from the discrete system at these frequencies.
-    """
-    norms, discrete = [], FEATURES.load("discrete plants")
-    for route in (by_level_sets, by_sweep):
-        value, at = route(gain)
-        T, missing = discrete.response_closely(system, at * dt / 2)
-        true = float(np.linalg.norm(T, 2))
-        norms.append((true, at, (abs(true - value) + missing) / true if true else 0.0))
-    (level, _, _), (sweep, _, _) = norms
-    value, at, rounding = max(norms)
-    return Norm(
-        value, discrete.true_frequency(at, dt), level, sweep, rounding + gain.grid_error(at) + gain.last if value else 0.0
-    )
-
-
-def gain_at(system: Plant, omega: float) -> float:
-    """Returns the largest singular value of the transfer matrix at the frequency omega [rad/s], computed with twice the
-    precision.
-    """
-    if system.dt is not None:
-        discrete = FEATURES.load("discrete plants")
-        at = discrete.mapped_frequency(omega, system.dt) * system.dt / 2
-        return float(np.linalg.norm(discrete.response_closely(system, at)[0], 2))
-    return float(Gain(system).at_double_double(np.array([omega]))[0][0])
 
 
 def level_set_norm(system: Plant) -> tuple[float, float]:

@@ -14,13 +14,13 @@ from models.common.errors import InputError, list_names, short_repr
 from models.common.extensions import FEATURES
 from models.common.printed import exactly
 from synth.analysis.certificate import Certificate, eta_of
-from synth.analysis.invariant_point import limit_at as proved_at
-from synth.analysis.lower_bound import DualCertificate, LowerBound, SampledBound, prove_lower_bound
+from synth.analysis.lower_bounds.invariant_point import limit_at as proved_at
+from synth.analysis.lower_bounds.lower_bound import DualCertificate, LowerBound, SampledBound, prove_lower_bound
 from synth.analysis.specification import SAMPLED_NORM
 from synth.plant.generalized import Plant
 
 if TYPE_CHECKING:
-    from synth.analysis.interpolation import Zeros
+    from synth.analysis.lower_bounds.interpolation import Zeros
     from synth.analysis.sampled_loop import SampledDataProblem
 
 

@@ -13,7 +13,8 @@ from synth.analysis.specification import Specification
 from synth.command.table import Row
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import false_sampled_bound
-from synth.controller.report import failures_of_sampled_loop, false_norm, judged_lines, norm_or_failure, notes_on_sampled_loop
+from synth.controller.report import judged_lines
+from synth.controller.sampled_report import failures_of_sampled_loop, false_norm, norm_or_failure, notes_on_sampled_loop
 from synth.vehicle.certified_vehicle import changed_since
 from synth.vehicle.designer import Designer
 

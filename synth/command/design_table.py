@@ -18,12 +18,13 @@ from models.document.outputs import check_outputs, output_paths, written_lines
 from models.document.text import screen_lines, text_lines
 from models.vehicle.names import without_copies
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.command.table import NOT_SHOWN, Row, answers, describe, details, lacks_damping, loop_table, record
 from synth.controller.law_margins import direct_feedback, law_margins, warnings
 from synth.controller.problem import measurements
-from synth.controller.report import NORM, failures_of_sampled_loop, norm_or_failure, notes_on_sampled_loop
+from synth.controller.report import NORM
 from synth.controller.report import notes as notes_on
+from synth.controller.sampled_report import failures_of_sampled_loop, norm_or_failure, notes_on_sampled_loop
 from synth.design.descent.flatness import free_moves
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError

@@ -23,7 +23,8 @@ from synth.controller.export.compiled import compiler
 from synth.controller.export.fmu_model import FmuModel, law_model, linear_model
 from synth.controller.export.folder import CERTIFICATE, CERTIFICATES, VEHICLE, files, read_folder
 from synth.controller.export.linear_system import loop_system, vehicle_system
-from synth.controller.report import NORM, STUDY
+from synth.controller.measured_heights import STUDY
+from synth.controller.report import NORM
 from synth.vehicle.designer import Designer, driver_of
 from synth.vehicle.lmi_certificates import certificate_texts
 

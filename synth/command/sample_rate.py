@@ -12,7 +12,7 @@ from models.document.picture import write_picture
 from models.document.text import screen_lines
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation
 from models.vehicle.vehicle import Vehicle
-from synth.controller.report import built_words
+from synth.controller.sampled_report import built_words
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.sample_rate.cost import SHORTEST, cost

@@ -9,10 +9,11 @@ from models.common.toml_edit import section_lines
 from models.document.outputs import CHECKED_BY
 from models.vehicle.in_place import with_sections
 from models.vehicle.vehicle import Vehicle, parse_vehicle
-from synth.analysis.lower_bound import SampledBound
+from synth.analysis.lower_bounds.lower_bound import SampledBound
 from synth.analysis.record import VEHICLE, bound_record, to_record
 from synth.controller.controller import SUFFIX, Controller, check_feedback_alone
-from synth.controller.report import norm_or_failure, norm_record
+from synth.controller.report import norm_record
+from synth.controller.sampled_report import norm_or_failure
 from synth.vehicle.certified_vehicle import vehicle_record
 
 

@@ -17,12 +17,13 @@ from models.vehicle.controllers import NOMINAL
 from models.vehicle.names import without_copies
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate, LmiProof
-from synth.analysis.invariant_point import UNCHANGED_NORM, is_pole, without_control
-from synth.analysis.lower_bound import LowerBound, SampledBound
+from synth.analysis.lower_bounds.invariant_point import UNCHANGED_NORM, is_pole, without_control
+from synth.analysis.lower_bounds.lower_bound import LowerBound, SampledBound
 from synth.analysis.record import SAMPLED_BOUND, bound_record, to_record
 from synth.analysis.specification import SampledNorm
 from synth.analysis.stability import MARGINAL
 from synth.controller.controller import Controller
+from synth.controller.design_notes import pid_line, sign_note, twist_lines
 from synth.controller.law_margins import LawMargins
 from synth.controller.report import (
     BOUND,
@@ -31,24 +32,23 @@ from synth.controller.report import (
     GROWTH,
     LOWER_BOUND,
     NORM,
-    NORM_AS_IMPLEMENTED,
     PEAK,
-    PROVED_NORM,
-    REACHED_GAIN,
-    SAME,
     SLOWEST_POLE,
-    built_words,
     filter_lines,
     growth_lines,
     ideal_lines,
     judged_lines,
     named_gain,
     norm_record,
-    notes_on_sampled_loop,
-    pid_line,
-    sign_note,
     study_notes,
-    twist_lines,
+)
+from synth.controller.sampled_report import (
+    NORM_AS_IMPLEMENTED,
+    PROVED_NORM,
+    REACHED_GAIN,
+    SAME,
+    built_words,
+    notes_on_sampled_loop,
 )
 from synth.plant.generalized import Plant
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
     from models.laws.python_law import PythonController
     from models.laws.semi_active import SemiActive
-    from synth.analysis.lower_bound import LowerBound
+    from synth.analysis.lower_bounds.lower_bound import LowerBound
     from synth.analysis.specification import Specification
 
 

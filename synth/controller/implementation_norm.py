@@ -25,7 +25,8 @@ from synth.analysis.sampled_loop import SampledDataProblem, SampledLoop, hold_in
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
-from synth.controller.problem import generalized_plant, measurements, problem, road_rates
+from synth.controller.measured_heights import road_rates
+from synth.controller.problem import generalized_plant, measurements, problem
 from synth.plant.generalized import Plant
 
 # decay per period of the integral from which the mean road velocity is computed. Without this decay, the loop would not be

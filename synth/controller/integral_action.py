@@ -14,15 +14,23 @@ the integrated signal, d - c A^-1 B at 0 rad/s, is zero there.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
-from synth.analysis.stability import beside_weights, is_stable
-from synth.plant.generalized import Plant
+from synth.analysis.stability import MARGINAL, beside_weights, is_stable
+from synth.controller.controller import Controller
+from synth.controller.problem import ClosedLoop, Problem
+from synth.controller.report import INTEGRATOR_POLE
+from synth.plant.generalized import Feedback, Plant
 
 RETURNS = 1e-9  # a transfer function counts as zero at 0 rad/s if its value is below this multiple of the terms that form it
+IDLE_INTEGRAL = (
+    "the integral of this law leaves a pole at 0 in the loop, so there is no finite norm: no constant force changes the "
+    "integrated signal permanently, or no force uses the integral"
+)
 
 
 def with_integrators(law: LinearLaw, integrated: Array) -> LinearLaw:
@@ -100,3 +108,42 @@ def settled_integrals(loop: Plant, plant: Plant, lacking: Sequence[int]) -> Arra
     rows = np.linalg.solve(A.T, c.T).T
     left, size = np.abs(d - rows @ loop.Bw[stay]), np.abs(d) + np.abs(rows) @ np.abs(loop.Bw[stay])
     return rows if np.all(left <= RETURNS * size) else None
+
+
+def judged_with_integrals(problem: Problem, law: LinearLaw) -> ClosedLoop:
+    """Returns the closed loop of a law in continuous time for a control problem whose z contains integrals.
+
+    Integrals that the law lacks are left out of the loop if they return to zero without the law.
+
+    Raises:
+        InputError: the algebraic loop has no solution.
+    """
+    kept = integrators_of(law, problem.integrated)
+    mine = on_integrals(law, problem.integrated, kept)
+    larger, G = problem.plant.with_law(mine)
+    lacking = [i for i in problem.integrals if not any(problem.measured_integrals[row] == i for row in kept)]
+    rows = settled_integrals(larger.closed_loop(G), problem.plant, lacking) if lacking else None
+    if rows is None:
+        return ClosedLoop(larger, G, problem.plant, problem.states, mine.states)
+    stay = np.setdiff1d(np.arange(len(larger.A)), lacking)
+    own = np.setdiff1d(np.arange(len(problem.plant.A)), lacking)
+    C = larger.C[:, stay] + larger.C[:, lacking] @ rows
+    short = replace(larger, A=larger.A[np.ix_(stay, stay)], B=larger.B[stay], Bw=larger.Bw[stay], C=C)
+    p = problem.plant.unmeasured
+    base = replace(p, A=p.A[np.ix_(own, own)], B=p.B[own], Bw=p.Bw[own], C=p.C[:, own])
+    return ClosedLoop(short, Feedback(G.K, G.Cy[:, stay]), base, tuple(problem.states[i] for i in own), mine.states)
+
+
+def has_idle_integral(controller: Controller) -> bool:
+    """Returns True if the law has a pole at 0 that remains a pole of the closed loop."""
+    law, where = controller.law, controller.certificate.stability
+    at_rest = 0.0 if law.sample_period is None else 1.0
+    held = np.any(np.abs(np.linalg.eigvals(law.A) - at_rest) <= INTEGRATOR_POLE * (1 + np.abs(law.A).max(initial=0.0)))
+    return bool(
+        held and where.verdict == MARGINAL and np.any(where.rates[where.on_axis] <= INTEGRATOR_POLE * (1 + where.rates.max()))
+    )
+
+
+def notes_on_integral(controller: Controller) -> list[str]:
+    """Returns a note if an integral of the law leaves a pole at 0 in the loop."""
+    return [IDLE_INTEGRAL] if has_idle_integral(controller) else []

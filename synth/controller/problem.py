@@ -8,15 +8,7 @@ If z contains the integral of a signal, this integral is a state of the plant. T
 are measured, because a law can integrate its measurements as the plant does. The first states of a law with such an integral
 are also states of the plant, and the closed loop contains them only once (`integral_action.py`).
 
-A law in a theoretical study may measure heights above the datum of a flat road. Measured heights contain the road height z_r,
-which then acts on the vehicle through the law:
-
-    x' = A x + B w + E z_r,    z = C x + D w + F z_r,    z_r' = w,
-
-The matrices in these equations describe the closed loop. With xi = x + A^-1 E z_r, the equations become xi' = A xi + (B + A^-1
-E) w and z = C xi + D w + (F - C A^-1 E) z_r. A finite norm therefore exists if F = C A^-1 E, because a constant road height
-then does not affect z. With F = C A^-1 E, the norm is computed from a loop without additional states. If the road filter is
-zero at 0 rad/s, z_r is a linear combination of the filter states, and the law measures this combination.
+A law in a theoretical study may measure heights above the datum of a flat road (`measured_heights.py`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,14 +26,10 @@ from models.vehicle.controllers import DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate, certify
 from synth.analysis.norm import Norm
-from synth.analysis.stability import beside_weights, is_stable
-from synth.plant.augmented import append, gain, with_weights
 from synth.plant.generalized import Feedback, Plant
-from synth.plant.state_space import StateSpace
 
 if TYPE_CHECKING:
-    from models.laws.filter import Filter
-    from synth.analysis.lower_bound import LowerBound
+    from synth.analysis.lower_bounds.lower_bound import LowerBound
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,50 +146,8 @@ class Problem:
         if not self.integrals:
             larger, G = self.plant.with_law(law)
             judged = ClosedLoop(larger, G, self.plant, self.states, law.states)
-            return judged if self.of_heights is None else self._over_datum(judged, self.of_heights)
-        integral_action = FEATURES.load("integral action")
-        kept = integral_action.integrators_of(law, self.integrated)
-        mine = integral_action.on_integrals(law, self.integrated, kept)
-        larger, G = self.plant.with_law(mine)
-        lacking = [i for i in self.integrals if not any(self.measured_integrals[row] == i for row in kept)]
-        rows = integral_action.settled_integrals(larger.closed_loop(G), self.plant, lacking) if lacking else None
-        if rows is None:
-            return ClosedLoop(larger, G, self.plant, self.states, mine.states)
-        stay = np.setdiff1d(np.arange(len(larger.A)), lacking)
-        own = np.setdiff1d(np.arange(len(self.plant.A)), lacking)
-        C = larger.C[:, stay] + larger.C[:, lacking] @ rows
-        short = replace(larger, A=larger.A[np.ix_(stay, stay)], B=larger.B[stay], Bw=larger.Bw[stay], C=C)
-        p = self.plant.unmeasured
-        base = replace(p, A=p.A[np.ix_(own, own)], B=p.B[own], Bw=p.Bw[own], C=p.C[:, own])
-        return ClosedLoop(short, Feedback(G.K, G.Cy[:, stay]), base, tuple(self.states[i] for i in own), mine.states)
-
-    def _over_datum(self, judged: ClosedLoop, of_heights: Array) -> ClosedLoop:
-        """Returns the closed loop of a law that measures heights above a datum. An unstable loop is returned unchanged."""
-        RETURNS = FEATURES.load("integral action").RETURNS
-        assert self.rates is not None, "they come with the heights"
-        plant, loop = judged.plant, judged.loop
-        if not is_stable(beside_weights(self.plant, loop.A)):
-            return judged
-        (n, r), (k, w) = (len(plant.A), plant.Bw.shape[1]), (of_heights.shape[1], self.rates[1].shape[1])
-        C, D = np.eye(len(self.plant.A), n).T @ self.rates[0].T, np.eye(w, r).T @ self.rates[1].T
-        K = judged.G.K[:, : len(of_heights)]
-        # If gains cancel, the rounding error of their sum is proportional to `terms`
-        read, terms = K @ of_heights, np.abs(K) @ np.abs(of_heights)
-        E, F = plant.B @ read, plant.D @ read
-        inverse = np.linalg.inv(loop.A)
-        shift = inverse @ E
-        size = np.abs(plant.D) @ terms + np.abs(loop.C) @ np.abs(inverse) @ np.abs(plant.B) @ terms
-        left = np.abs(F - loop.C @ shift)
-        if np.all(left <= RETURNS * size):
-            return replace(judged, plant=replace(plant, A=plant.A + shift @ C.T, Bw=plant.Bw + shift @ D.T))
-        lasting = Plant.without_inputs(
-            A=np.block([[loop.A, E], [C.T, np.zeros((k, k))]]),
-            Bw=np.vstack([loop.Bw, D.T]),
-            C=np.hstack([loop.C, F]),
-            Dw=loop.Dw,
-        )
-        shows = np.flatnonzero(np.any(left > RETURNS * size, axis=1)).tolist()
-        return replace(judged, with_road_heights=lasting, unbounded_outputs=tuple(shows))
+            return judged if self.of_heights is None else FEATURES.load("measured heights").judged_over_datum(self, judged)
+        return FEATURES.load("integral action").judged_with_integrals(self, law)
 
 
 def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignConditions, plant: Plant | None = None) -> Problem:
@@ -238,7 +184,7 @@ def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignCondition
     S = np.array([[terms.get(name, 0.0) for name in measured] for terms in integrated.values()]) if integrated else None
     of_heights = rates = None
     if np.any(model.Cr[rows]):
-        more, by_twist, of_heights, rates = _heights_read(vehicle, model, rows, plant)
+        more, by_twist, of_heights, rates = FEATURES.load("measured heights").heights_read(vehicle, model, rows, plant)
         Cy, of_loads = Cy + more, of_loads + by_twist
     states = plant_states(vehicle, hardware.bandwidth)
     mine, weighed = (tuple(states.index(name) for name in some) for some in (integrated, vehicle.integrals))
@@ -247,40 +193,6 @@ def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignCondition
         noisy = [i for i, rms in enumerate(hardware.noise) if rms]
         plant = plant.with_disturbances(np.eye(q, len(measured)) @ np.diag(hardware.noise)[:, noisy])
     return Problem(plant, forces, S, weighed, mine, states, of_heights, rates)
-
-
-def _heights_read(
-    vehicle: Vehicle, model: LinearModel, rows: Sequence[int], plant: Plant
-) -> tuple[Array, Array, Array | None, tuple[Array, Array]]:
-    """Returns the contributions of measured heights to Cy and Dyw, and the attributes `of_heights` and `rates` of a `Problem`.
-
-    The measured heights contain the warp of the road, which is a separate disturbance. The other part of the measured heights
-    is the integral of the road velocities.
-    """
-    Cr, road, directions = model.Cr[rows], vehicle.road_filter, road_twist_inputs(model)
-    by_twist, by_height, r = Cr @ directions.T / model.twist_rate, Cr - Cr @ directions.T @ directions, Cr.shape[1]
-    (C, D), held = road_rates(vehicle, plant), np.zeros((r, len(plant.A)))
-    if road is not None and not all(above[-1] for above, _ in road.sections):
-        A = road.realisation.A
-        states = slice(len(held[0]) - len(C) * len(A), len(held[0]) - (len(C) - r) * len(A))
-        held[:, states] = C[:r, states] @ np.kron(np.eye(r), np.linalg.inv(A))
-    integral = None if held.any() else by_height
-    return by_height @ held + by_twist @ C[r:], by_twist @ D[r:], integral, (C[:r], D[:r])
-
-
-def road_rates(vehicle: Vehicle, plant: Plant) -> tuple[Array, Array]:
-    """Returns the matrices from a plant's states, and from its disturbances, to the road inputs.
-
-    The rows are the road velocities, followed by the road warps.
-    """
-    model, road = vehicle.linear_model, vehicle.road_filter
-    roads, n = len(model.disturbances) + len(road_twist_inputs(model)), len(plant.A)
-    C, D = np.zeros((roads, n)), np.eye(roads, plant.Bw.shape[1])
-    if road is None:
-        return C, D
-    of_filters = np.kron(np.eye(roads), road.realisation.C)
-    C[:, n - of_filters.shape[1] :] = of_filters
-    return C, D * road.realisation.D
 
 
 def measured_integrals(vehicle: Vehicle, measured: Sequence[str]) -> dict[str, Mapping[str, float]]:
@@ -313,7 +225,8 @@ def generalized_plant(
             road.
     """
     model, rows = _design_model(vehicle, bandwidth), vehicle.weighted
-    _check_integrals(vehicle, model)
+    if vehicle.integrals:
+        FEATURES.load("filters in plants").check_integrals(vehicle, model)
     weighted = list(dict.fromkeys(signal for row in rows for signal in row.terms))
     C, D = model.rows(weighted)
     if bandwidth is not None and not acting:
@@ -331,22 +244,9 @@ def generalized_plant(
         D=weights @ D,
         Dw=np.hstack([weights @ Dw, weights @ Cr, weights @ Dl]),
     )
-    over_datum = [signal for signal in weighted if signal in model.heights]
-    if over_datum:
-        _check_heights(vehicle, over_datum[0])
-    if not vehicle.filtered:
+    if not (vehicle.filtered or set(weighted) & set(model.heights)):
         return plant
-    outputs = append(*(_system(row.filter) for row in rows))
-    roads = [_system(vehicle.road_filter)] * (plant.Bw.shape[1] - len(loads))
-    disturbances = append(*roads, *[gain(1.0)] * len(loads))
-    if not over_datum:
-        return _with_integrals(with_weights(plant, outputs, disturbances), vehicle, model)
-    # If w = F v with F(0) = 0, the transfer function F / s from v to the road height has the same states as F, with C A^-1
-    # instead of C.
-    of_height = np.array([model.Cr[model.outputs.index(signal)] * (signal in over_datum) for signal in weighted])
-    states = len(disturbances.A) // len(roads)
-    height = np.kron(np.eye(len(roads)), np.linalg.solve(roads[0].A.T, roads[0].C.T).T) if states else np.zeros((len(roads), 0))
-    return _with_integrals(with_weights(plant, outputs, disturbances, weights @ of_height @ height), vehicle, model)
+    return FEATURES.load("filters in plants").with_filters(plant, vehicle, model, weighted, weights, len(loads))
 
 
 def _design_model(vehicle: Vehicle, bandwidth: float | None) -> LinearModel:
@@ -354,73 +254,10 @@ def _design_model(vehicle: Vehicle, bandwidth: float | None) -> LinearModel:
     return vehicle.linear_model.behind_lag(bandwidth).with_integrals(vehicle.integrals)
 
 
-def _with_integrals(plant: Plant, vehicle: Vehicle, model: LinearModel) -> Plant:
-    """Adds to z the integrals for which `[performance]` has a weight. The integrals are already states of the plant."""
-    if not vehicle.integrals:
-        return plant
-    C = plant.C.copy()
-    for i, row in enumerate(vehicle.weighted):
-        if row.filter is not None and row.filter.residue:
-            name = next(name for name, terms in vehicle.integrals.items() if terms == row.terms)
-            C[i, model.states.index(name)] += row.weight * row.filter.residue
-    return replace(plant, C=C)
-
-
-def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
-    """Raises an InputError if z contains the integral of a height, or of a signal that no constant force can change."""
-    for name, terms in vehicle.integrals.items():
-        what = f"[performance] weights the integral of {name.removeprefix('integral_of_')}"
-        if heights := [signal for signal in terms if signal in model.heights]:
-            raise InputError(
-                f"{what}, but {heights[0]} is a height above a fixed datum. No law returns this height to zero, so its "
-                "integral has no norm; weight a sum of deflections instead, because such a sum is a height above the road"
-            )
-        plain = vehicle.linear_model
-        rows = np.array([terms.get(signal, 0.0) for signal in plain.outputs])
-        pencil = np.block([[plain.A, plain.B], [(rows @ plain.C)[None], (rows @ plain.D)[None]]])
-        balanced = pencil / np.maximum(np.abs(pencil).max(axis=1, keepdims=True), np.finfo(float).tiny)
-        balanced = balanced / np.maximum(np.abs(balanced).max(axis=0, keepdims=True), np.finfo(float).tiny)
-        if np.linalg.matrix_rank(balanced, SINGULAR) < np.linalg.matrix_rank(balanced[:-1], SINGULAR) + 1:
-            raise InputError(
-                f"{what}, but no constant force changes this signal. So the integral cannot return to zero, and has no "
-                "norm; weight the integral of a suspension deflection, or use a filter without a pole at 0"
-            )
-
-
-SINGULAR = 1e-12  # a singular value of a balanced matrix counts as zero if its ratio to the largest one is smaller than this
-
-
-def _check_heights(vehicle: Vehicle, signal: str) -> None:
-    """Raises an InputError if z contains a height for which no norm exists, or which the warp of the road changes."""
-    model, road = vehicle.linear_model, vehicle.road_filter
-    if np.any(model.Br):
-        raise InputError(
-            f"[performance] {signal} is a height above a fixed datum. Such a height has no norm, because this "
-            f"{vehicle.kind.name} responds to road warp; give this signal the weight 0"
-        )
-    if road is None or all(above[-1] for above, _ in road.sections):
-        raise InputError(
-            f"[performance] {signal} has no norm, because this height above a fixed datum can rise without bound with "
-            "the road; give weight 0 to only log this signal, or give `road` a filter that is 0 at 0 rad/s"
-        )
-
-
-def _system(one: "Filter | None") -> StateSpace:
-    return gain(1.0) if one is None else StateSpace.of_law(one.remainder)
-
-
 def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str, ...]:
     """Returns the names of the states of a vehicle's plant: the states of the vehicle, followed by the states of its filters."""
     model = _design_model(vehicle, bandwidth)
-    if not vehicle.filtered:
-        return model.states
-    counts = {f"filter_of_{row.name}": len(row.filter.remainder.A) for row in vehicle.weighted if row.filter is not None}
-    if vehicle.road_filter is not None:
-        k = len(vehicle.road_filter.realisation.A)
-        counts |= {f"filter_of_{road}": k for road in model.disturbances}
-        counts |= {f"filter_of_road_twist_{i + 1}": k for i in range(_twist(model, ())[0].shape[1])}
-    filters = [f"{name}_{i + 1}" for name, count in counts.items() for i in range(count)]
-    return (*model.states, *filters)
+    return FEATURES.load("filters in plants").states_with_filters(vehicle, model) if vehicle.filtered else model.states
 
 
 def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | None = None) -> tuple[Array, Array]:

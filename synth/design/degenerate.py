@@ -15,7 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.arrays import Array
-from synth.analysis.stability import balance, is_stable, largest, pole_text, stabilisability_failures
+from synth.analysis.stabilisability import largest, stabilisability_failures
+from synth.analysis.stability import balance, is_stable, pole_text
 from synth.design.problem import WellPosedProblem
 from synth.lmi.output_nulling import RANK, output_nulling_gains, output_nulling_subspace
 from synth.lmi.unobservable import remove_unobservable

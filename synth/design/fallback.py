@@ -33,7 +33,7 @@ from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, NoSolutionError
 
 if TYPE_CHECKING:
-    from synth.analysis.lower_bound import LowerBound
+    from synth.analysis.lower_bounds.lower_bound import LowerBound
     from synth.design.descent.landscape import Work
 
 # texts that name the method by which a lower norm was found

@@ -25,12 +25,11 @@ from models.laws.goals import REGRET
 from models.laws.law_structure import StructureSection
 from models.laws.linear import MOST_STATES, LinearLaw
 from synth.analysis.certificate import Certificate
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem, hold_intervals
-from synth.analysis.stability import stabilisability_failures
+from synth.analysis.stabilisability import check_stabilisable, stabilisability_failures
 from synth.design.methods import design as designed
 from synth.design.problem import LARGEST_GAIN, DesignProblem, DesignResult
-from synth.design.two_step import check_stabilisable
 from synth.plant.generalized import Plant, check_continuous, check_inputs, real_matrix
 from synth.plant.numerics import InfeasibleError, numerics
 

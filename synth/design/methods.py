@@ -118,9 +118,8 @@ def _possible(problem: DesignProblem) -> DesignProblem:
     Raises:
         InfeasibleError: no static gain stabilises the plant; the message describes the mode that cannot be stabilised.
     """
-    from synth.design.two_step import check_stabilisable
-
-    check_stabilisable(problem.plant, problem.states)
+    if not is_stable(problem.plant.A, problem.plant.dt):
+        FEATURES.load("obstacles to stabilisation").check_stabilisable(problem.plant, problem.states)
     if problem.alternatives and problem.lower_bound is None and len(problem.plant.A) <= LARGEST_BOUNDED:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             return replace(problem, lower_bound=FEATURES.load("lower bounds").find_lower_bound(problem.plant))

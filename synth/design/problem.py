@@ -11,6 +11,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.common.printed import digits
 from models.document.document import Document
 from models.document.text import ShownResult, facts
@@ -24,7 +25,7 @@ from synth.plant.generalized import Plant
 if TYPE_CHECKING:
     from models.document.figure import Figure
     from models.laws.preview import RoadPreview
-    from synth.analysis.lower_bound import LowerBound, SampledBound
+    from synth.analysis.lower_bounds.lower_bound import LowerBound, SampledBound
     from synth.analysis.sampled_loop import SampledDataProblem
     from synth.design.descent.landscape import Work
     from synth.design.multi_objective.problem import MultiObjectiveProblem
@@ -157,9 +158,8 @@ class DesignProblem:
         """
         if self.certify is not None:
             return self.certify(law)
-        from synth.analysis.bounding import certify_law
 
-        return certify_law(self.plant, law.continuous(), self.lower_bound)
+        return FEATURES.load("bounds by Riccati equations").certify_law(self.plant, law.continuous(), self.lower_bound)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

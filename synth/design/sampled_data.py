@@ -42,10 +42,10 @@ from models.common.errors import InputError
 from models.common.printed import digits, percent
 from models.laws.design_methods import FULL
 from models.laws.linear import LinearLaw, static_law
-from synth.analysis.lower_bound import LowerBound, SampledBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound, SampledBound
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
-from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
+from synth.analysis.stabilisability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape, Work
 from synth.design.descent.refine import Refinement, from_some, lower_norm, refine
 from synth.design.full_order.full_order import discrete_law

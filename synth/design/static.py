@@ -26,7 +26,7 @@ from models.common.checks import Bound
 from models.common.errors import InputError
 from models.laws.linear import static_law
 from synth.analysis.bounding import certify_law
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.design.descent.landscape import Landscape, Work, price
 from synth.design.descent.minimax import descend_norm
 from synth.design.descent.refine import own_norm, refine

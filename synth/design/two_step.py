@@ -13,7 +13,6 @@ measurements and units. If step 2 has no solution for the optimal X of step 1, t
 earlier point on the central path. `synth.design.degenerate` treats plants whose problem (22) has no optimum.
 """
 
-import contextlib
 import functools
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,7 +22,6 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.laws.linear import unchecked_static_law
 from synth.analysis.certificate import FASTEST, Certificate, KnownBound, certify
@@ -168,9 +166,7 @@ def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
     try:
         return [point.in_units(own.states, own.inputs, own.states) for point in state_feedback(own.into(problem.plant))]
     except NoSolutionError as error:
-        from synth.analysis.stability import stabilisability_failures
-
-        if reasons := "; ".join(stabilisability_failures(plant, states)):
+        if reasons := "; ".join(FEATURES.load("obstacles to stabilisation").stabilisability_failures(plant, states)):
             raise InfeasibleError(reasons) from error
         raise
     except DesignError as error:
@@ -190,9 +186,8 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: K
     """
     problem, measured = well_posed(plant), plant.measured(np.eye(len(plant.A)))
     if problem.best is not None:
-        from synth.analysis.bounding import certify_tightly
-
-        return _result(problem.best, certify_tightly(plant, problem.best, lower_bound), case=problem.best_case)
+        certificate = FEATURES.load("bounds by Riccati equations").certify_tightly(plant, problem.best, lower_bound)
+        return _result(problem.best, certificate, case=problem.best_case)
     return replace(last_certified_gain(measured, path or state_path(plant), lower_bound), case=problem.case)
 
 
@@ -226,11 +221,9 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
         return next(design for design in beyond if design.certificate.speed_up <= FASTEST * slowest)
     if first is None:
         raise DesignError("its certificate fails: the path has no point")
-    from synth.analysis.bounding import certify_tightly
-
     # The matrix X of the path may be too close to singular for a proof in floating point, for example with 40 states. Another X
     # may still prove a bound.
-    another = certify_tightly(plant, Feedback(path[-1].K, plant.Cy), lower_bound)
+    another = FEATURES.load("bounds by Riccati equations").certify_tightly(plant, Feedback(path[-1].K, plant.Cy), lower_bound)
     if another.bound is not None and not another.failures:
         return _result(path[-1].K, another)
     raise DesignError(f"its certificate fails: {'; '.join(first.loop_failures)}")
@@ -286,11 +279,10 @@ def two_step_design(
         G = problem.best * units.states
         on_rows = G @ rows.T
         if np.linalg.norm(on_rows @ rows - G) <= SAME * np.linalg.norm(G):
-            from synth.analysis.bounding import certify_tightly
-
             K = np.linalg.solve(measured.T, on_rows.T).T
-            best = _result(K, certify_tightly(independent, Feedback(K, independent.Cy), lower_bound), case=problem.best_case)
-            return with_redundant_rows(best, kept, q, 0.0)
+            riccati = FEATURES.load("bounds by Riccati equations")
+            certificate = riccati.certify_tightly(independent, Feedback(K, independent.Cy), lower_bound)
+            return with_redundant_rows(_result(K, certificate, case=problem.best_case), kept, q, 0.0)
     fits(unknowns(problem.plant), MOST, "the two-step method")
     path = path or state_path(plant, states)
     own, Q = units.into(problem.plant).measured(rows), nullspace(rows)
@@ -310,9 +302,8 @@ def two_step_design(
         beyond.append(found)
     if beyond:
         return min(beyond, key=lambda design: design.certificate.speed_up)
-    from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
-
-    if reasons := "; ".join(stabilisability_failures(plant, states) or static_feedback_obstructions(plant)):
+    obstacles = FEATURES.load("obstacles to stabilisation")
+    if reasons := "; ".join(obstacles.stabilisability_failures(plant, states) or obstacles.static_feedback_obstructions(plant)):
         raise InfeasibleError(reasons)
     broken = [error for error in failures if not isinstance(error, NoSolutionError)]
     first, *_ = [*broken, *failures]  # if the path ended early, it is unknown whether the second problem has a solution
@@ -373,17 +364,3 @@ def state(problem: DesignProblem, progress: Progress) -> DesignResult:
 def zero_l(problem: DesignProblem, progress: Progress) -> DesignResult:
     """Designs a static gain by only the second step (25), with L = 0."""
     return zero_l_design(problem.plant, problem.lower_bound)
-
-
-def check_stabilisable(plant: Plant, states: Sequence[str] = ()) -> None:
-    """Raises an InfeasibleError if no static gain can stabilise the plant and a simple proof exists.
-
-    The proof is based on a single mode, or on the sum or the product of the poles.
-    """
-    from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
-
-    reasons = list[str]()
-    with contextlib.suppress(InputError):  # an entry of the matrix is too large in its units, so this check proves nothing
-        reasons = stabilisability_failures(plant, states) or static_feedback_obstructions(plant)
-    if reasons:
-        raise InfeasibleError("; ".join(reasons))

@@ -17,11 +17,12 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.checks import Matrix
 from models.common.errors import InputError
-from synth.analysis.invariant_point import invariant_limit, limit_at, limit_at_infinity
-from synth.analysis.lower_bound import CouplingMatrix, DualCertificate, LowerBound, prove_from_inequalities
+from synth.analysis.lower_bounds.invariant_point import invariant_limit, limit_at, limit_at_infinity
+from synth.analysis.lower_bounds.lower_bound import CouplingMatrix, DualCertificate, LowerBound, prove_from_inequalities
+from synth.analysis.lower_bounds.synthesis_inequality import SynthesisInequality
 from synth.analysis.rigorous import floats
-from synth.analysis.stability import pole_text, uncontrollable_modes
-from synth.analysis.synthesis_inequality import SynthesisInequality
+from synth.analysis.stabilisability import uncontrollable_modes
+from synth.analysis.stability import pole_text
 from synth.lmi.barrier import Barrier, Block, boundary, newton
 from synth.lmi.central_path import CENTRE_DECREMENT, INSIDE, CentralPoint, along_path
 from synth.plant.generalized import Plant
@@ -101,7 +102,7 @@ def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], b
     reached = bool(path) and best.gamma >= path[-1].gamma * (1 - ENOUGH)
     if other is None and reached:
         return best
-    from synth.analysis.interpolation import zero_limit
+    from synth.analysis.lower_bounds.interpolation import zero_limit
 
     one = SynthesisInequality.of(plant)
     gamma, zeros = zero_limit(plant, (one, observer))

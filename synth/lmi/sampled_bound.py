@@ -10,7 +10,7 @@ import contextlib
 import math
 
 from models.common.errors import InputError
-from synth.analysis.lower_bound import LowerBound, SampledBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound, SampledBound
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.numerics import numerics

@@ -22,8 +22,9 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from synth.plant.double_double import exact_product, exact_sum, solve_closely, with_imaginary
+from synth.plant.double_double import exact_product, exact_sum
 from synth.plant.generalized import Plant
+from synth.plant.iterative_refinement import solve_closely, with_imaginary
 
 # Smallest allowed singular value of the balanced A + I, relative to the largest singular value. This limits the number of
 # digits that are lost

@@ -1,16 +1,19 @@
 """Comparison of a vehicle file with the vehicle for which a saved certificate was proved."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.common.printed import entry as as_entry
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.record import SAME, VEHICLE
-from synth.controller.controller import verify_record
+from synth.controller.controller import Controller, verify_record
 from synth.controller.problem import problem
+from synth.controller.report import norm_if_implemented
+from synth.controller.sampled_report import false_norm, instability_cured_by_sampling
 
 CHANGED_VEHICLE = "the vehicle is no longer the one that was certified: "
 
@@ -47,6 +50,29 @@ def changed_since(vehicle: Vehicle, entry: ControllerEntry) -> str:
         return ""
     changes = min(payload + _differences(unladen, then), _differences(vehicle, then), key=len)
     return f"{CHANGED_VEHICLE}{', '.join(changes)}" if changes else ""
+
+
+def false_claims(vehicle: Vehicle, entry: ControllerEntry, controller: Controller, wrong: Sequence[str]) -> tuple[str, ...]:
+    """Describes the false claims of a certificate in a vehicle file, including those about the sampled-data loop.
+
+    If the vehicle is no longer the certified vehicle, the result states only what changed.
+
+    Args:
+        vehicle: vehicle from the vehicle file.
+        entry: section of the vehicle file with the certificate.
+        controller: controller that the section describes.
+        wrong: false claims about the ideal loop.
+    """
+    found = tuple(wrong)
+    if entry.certificate:
+        found += FEATURES.load("norm as implemented").false_sampled_bound(vehicle, entry)
+    found += false_norm(entry.certificate, vehicle, lambda: norm_if_implemented(vehicle, controller))
+    if found and not controller.certificate.stable:  # sampling may make an unstable loop stable
+        norm = norm_if_implemented(vehicle, controller)
+        cured = instability_cured_by_sampling(vehicle, controller.certificate, norm)
+        found = tuple(each for each in found if each not in cured)
+    changed = changed_since(vehicle, entry) if found else ""
+    return (changed,) if changed else found
 
 
 def _differences(vehicle: Vehicle, then: Mapping[str, Any]) -> list[str]:

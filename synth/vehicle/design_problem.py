@@ -5,9 +5,6 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.common.printed import digits
 from models.laws.design_methods import FULL, PREVIEW
@@ -16,13 +13,11 @@ from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.controller.controller import Controller, on_readings
-from synth.controller.problem import Problem, plant_states, road_twist_inputs
+from synth.controller.problem import Problem, plant_states
 from synth.design.problem import H2_NORM, MU, DesignProblem, DesignResult
-from synth.plant.numerics import DesignError
 
 if TYPE_CHECKING:
-    from models.laws.preview import RoadPreview
-    from synth.analysis.lower_bound import LowerBound
+    from synth.analysis.lower_bounds.lower_bound import LowerBound
 
 STATE_ALONE = (
     "states of filters are not measured: this static gain uses the states of the vehicle only and is designed as an output "
@@ -46,6 +41,7 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Prob
     """
     request = entry.request
     by_force = request.structure is not None and request.structure.rows is not None
+    noise = FEATURES.load("mean square designs").white_noise(vehicle, entry, plant_problem) if request.design == "lqg" else None
     problem = DesignProblem(
         plant=plant_problem.plant
         if by_force
@@ -57,7 +53,7 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Prob
         design=request.design if request.design != FULL else "",
         stable=request.stable,
         fastest_pole=request.fastest_pole,
-        noise=white_noise(vehicle, entry, plant_problem),
+        noise=noise,
         preview=request.preview,
         alternatives=False,
         thorough=False,
@@ -84,43 +80,14 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Prob
             errors, as_run = weighted_errors.structured_plant(vehicle, entry, entry.errors), problem.as_run
             return replace(problem, errors=errors, certify=lambda law: ideal(as_run(law)))
     if request.design == PREVIEW:
-        try:
-            FEATURES.load("H2 designs").state_rows(problem.plant)
-        except DesignError:
-            raise InputError(
-                f"controller {entry.name!r}: a design with preview must measure all states, but no sensor measures the states "
-                "of filters in [performance]; give constant weights or integrals, or a different design"
-            ) from None
+        FEATURES.load("mean square designs").check_preview(entry, problem)
     return problem
 
 
 def certify_ideal_loop(problem: Problem, lower_bound: "LowerBound") -> Callable[[LinearLaw], Certificate]:
     """Returns a function that certifies, for the ideal loop, a control law that acts on the measurements."""
-    from synth.analysis.bounding import certify_tightly
-
+    certify_tightly = FEATURES.load("bounds by Riccati equations").certify_tightly
     return lambda law: certify_tightly(*problem.closed_loop(law), lower_bound, plant_without_law=problem.plant)
-
-
-def white_noise(vehicle: Vehicle, entry: ControllerEntry, problem: Problem) -> list[float] | None:
-    """Returns, for an LQG design, the white-noise intensity of each measurement that depends on the state; None if there is no
-    noise.
-
-    Noise of rms sigma in samples that are T seconds apart corresponds to white noise of intensity sigma sqrt(T).
-
-    Raises:
-        DesignError: the measurements have noise, but no sample period T is defined.
-    """
-    if entry.request.design != "lqg":
-        return None
-    how = vehicle.implementation
-    if how.sample_period is None and any(how.noise.get(name) for name in entry.measured):
-        raise DesignError(
-            "LQG uses white noise of intensity rms times sqrt(sample_period), but [implementation] has noise without "
-            "sample_period; give both, or neither"
-        )
-    rms = [how.noise.get(name, 0.0) for name in entry.measured] + [0.0] * len(problem.measured_integrals)
-    levels = [rms[i] * (how.sample_period or 0.0) ** 0.5 for i in problem.state_measurements]
-    return levels if any(levels) else None
 
 
 def controller_of(
@@ -150,37 +117,7 @@ def controller_of(
     if problem.structure is not None and result.criterion != MU:
         remarks = *([result.remark] if remarks else []), f"designed by descent on the norm from {result.origin}"
     if result.criterion == H2_NORM:
-        remarks = _of_mean_square(problem, result), *remarks
-    preview = None if result.preview is None else _on_roads(vehicle, result.preview)
+        remarks = FEATURES.load("mean square designs").of_mean_square(problem, result), *remarks
+    preview = None if result.preview is None else FEATURES.load("mean square designs").on_roads(vehicle, result.preview)
     law = replace(law, anti_windup=entry.request.anti_windup)
     return Controller.of(entry, law, result.certificate, remarks=remarks, preview=preview)
-
-
-def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
-    """Describes, as text, the H2 norm that a design minimises."""
-
-    at_once = FEATURES.load("H2 designs").AT_ONCE if np.any(problem.plant.Dw) else ""
-    of_white_noise = "the rms of z if road velocity is white noise of intensity 1"
-    if problem.design == PREVIEW:
-        return (
-            f"minimises the mean square of z with the road {problem.preview:g} s ahead: the H2 norm is {digits(result.h2_norm)} "
-            f"({digits(result.without)} without preview), {of_white_noise}{at_once}"
-        )
-    if problem.design == "lqg":  # LQG also assumes a white noise, which is not part of w
-        noise = ", with noise of the sensors" if problem.noise is not None and np.any(problem.noise) else ""
-    else:
-        noise = ", with noise of w on the sensors" if np.any(problem.plant.Dyw) else ""
-    return f"minimises the mean square of z: the H2 norm is {digits(result.h2_norm)}, {of_white_noise}{noise}{at_once}"
-
-
-def _on_roads(vehicle: Vehicle, ahead: "RoadPreview") -> "RoadPreview":
-    """Converts a preview of the plant's disturbances to a preview of the road under each wheel.
-
-    In addition to the road velocities, the road's warp is a disturbance of the plant (`generalized_plant`); the warp is also
-    known in advance.
-    """
-
-    model = vehicle.linear_model
-    r = len(model.disturbances)
-    heights = ahead.B[:, r:] @ (model.twist_rate * road_twist_inputs(model))
-    return FEATURES.load("preview").RoadPreview(ahead.seconds, ahead.A, ahead.B[:, :r], heights, ahead.C)

@@ -15,7 +15,6 @@ import numpy as np
 from models.common.checks import AT_LEAST_ONE, check_arguments
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
-from models.laws.combinations import check_command, goes
 from models.laws.design_request import DesignRequest
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
@@ -23,7 +22,6 @@ from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate, LaterBound
 from synth.controller.controller import AnyController, Controller, certify_law, verify_record
 from synth.controller.problem import Problem, generalized_plant, plant_states, problem
-from synth.controller.report import false_norm, instability_cured_by_sampling, norm_if_implemented
 from synth.design.methods import design as design_for
 from synth.design.problem import DesignProblem, Progress, quiet
 from synth.design.two_step import state_path
@@ -33,11 +31,8 @@ from synth.plant.numerics import DesignError
 from synth.vehicle.design_problem import controller_of, design_problem
 
 if TYPE_CHECKING:
-    from synth.analysis.lower_bound import LowerBound, SampledBound
+    from synth.analysis.lower_bounds.lower_bound import LowerBound, SampledBound
     from synth.vehicle.refined import RefinedController
-
-
-NOT_REFINED = "but --refine changes static gains, which have no integral; omit --refine"
 
 
 class SharedDesignData:
@@ -171,7 +166,7 @@ class Designer:
 
         The result is None if the controller was not designed for the sampled-data loop, or if no bound is proved.
         """
-        return self._sampled_bound(self._entry(controller.name)) if controller.sampled else None
+        return self._sampled_bound(self.entry(controller.name)) if controller.sampled else None
 
     def _sampled_bound(self, entry: ControllerEntry) -> "SampledBound | None":
         key = entry.measured, entry.hardware.noise
@@ -214,7 +209,7 @@ class Designer:
 
     def judged(self, controller: Controller) -> Controller:
         """Adds to a controller the proved results for the frequency-weighted uncertainties that its section contains, if any."""
-        errors = self._entry(controller.name).errors
+        errors = self.entry(controller.name).errors
         if errors is None:
             return controller
 
@@ -222,11 +217,11 @@ class Designer:
 
     def _design(self, name: str, zero_l: bool, on_progress: Progress) -> Controller:
         """Designs a controller, or certifies the control law that the vehicle file contains; see `design`."""
-        entry = self._entry(name)
+        entry = self.entry(name)
         if entry.law is not None:
             return self._given(entry, entry.law)
         if zero_l:
-            check_command(f"controller {entry.name!r}", entry.parts, "zero_l")
+            FEATURES.load("combinations of options").check_command(f"controller {entry.name!r}", entry.parts, "zero_l")
         plant_problem = self.problem(entry.measured, entry.hardware)
         try:
             lower_bound = self._later_bound(entry)
@@ -305,18 +300,8 @@ class Designer:
                 controller,
                 specifications=FEATURES.load("goals").verify_specifications(self.vehicle, entry, entry.goals, law, self.search),
             )
-        if entry.certificate:
-            wrong += FEATURES.load("norm as implemented").false_sampled_bound(self.vehicle, entry)
-        wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, controller))
-        if wrong and not certificate.stable:  # sampling may make an unstable loop stable
-            cured = instability_cured_by_sampling(self.vehicle, certificate, norm_if_implemented(self.vehicle, controller))
-            wrong = tuple(each for each in wrong if each not in cured)
-        if wrong:
-            wrong = (
-                (changed,)
-                if (changed := FEATURES.load("changes since a certificate").changed_since(self.vehicle, entry))
-                else wrong
-            )
+        if wrong or entry.certificate:
+            wrong = FEATURES.load("changes since a certificate").false_claims(self.vehicle, entry, controller, wrong)
         return replace(controller, false_claims=wrong)
 
     @check_arguments
@@ -334,40 +319,13 @@ class Designer:
             InputError: no controller has this name, or the controller has no gain to change, such as `passive`.
             DesignError: the gain does not stabilise the vehicle, or no starting point leads to a gain.
         """
-
-        entry = self._entry(name)
-        measured = entry.measured
-        if not measured:
-            raise InputError(
-                f"controller {name!r} measures nothing, so it has no gain to refine; give a controller with measurements"
-            )
-        check_command(f"controller {entry.name!r}", entry.parts, "refine", DesignError)
-        if self.vehicle.integrals:
-            raise DesignError(f"controller {entry.name!r}: [performance] weights an integral, {NOT_REFINED}")
-        try:
-            start = self.design(name, zero_l)
-        except DesignError:
-            start = None
-        problem, lower_bound = self.problem(measured, entry.hardware), self.lower_bound(measured, entry.hardware)
-        if entry.request.sampled and start is None:
-            self.design(name)  # this call raises an error that states the reason
-        return FEATURES.load("refinement").refine_controller(self.vehicle, entry, problem, start, lower_bound)
+        return FEATURES.load("refinement").refined_controller(self, name, zero_l)
 
     def worth_refining(self, controller: Controller) -> float:
         """Returns a cautious (low) estimate of the relative norm decrease that `refine` would achieve; 0 if the decrease is
         negligible.
         """
-        if (
-            not controller.designed
-            or controller.sampled  # a design for the sampled-data loop has already been refined
-            or not controller.measured
-            or not goes("refine", self._entry(controller.name).parts)
-            or self.vehicle.integrals
-            or not controller.certificate.stable
-        ):
-            return 0.0
-
-        return FEATURES.load("refinement").worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
+        return FEATURES.load("refinement").worth(self, controller)
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
         """Recomputes the certificate of a control law in the vehicle file from the proofs in this file.
@@ -382,7 +340,7 @@ class Designer:
         except InputError as error:
             raise self.vehicle.located(error) from error
 
-    def _entry(self, name: str) -> ControllerEntry:
+    def entry(self, name: str) -> ControllerEntry:
         """Returns the entry of a controller, selected by name: a controller in the vehicle file, `passive` or `state`."""
         name, model = unicodedata.normalize("NFC", str(name)), self.vehicle.linear_model
         if name == "passive":

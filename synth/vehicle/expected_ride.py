@@ -29,7 +29,7 @@ from models.roads.spectrum import longest_panel, sources
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of, road_inputs
-from synth.plant.loop import frequency_response
+from synth.plant.harmonic_response import frequency_response
 from synth.plant.quadrature import sample_band
 
 ROAD_CLASS, SPEED = "C", 20.0  # road class of an average road, and driving speed [m/s]

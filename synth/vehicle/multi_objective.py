@@ -16,7 +16,7 @@ from models.laws.linear import LinearLaw
 from models.roads.road import Road, delays, under_wheels
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.analysis.specification import Specification
 from synth.controller.controller import Controller
 from synth.controller.problem import Problem, measurements, problem

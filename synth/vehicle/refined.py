@@ -3,19 +3,25 @@ refinement.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.combinations import check_command, goes
 from models.laws.linear import static_law
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.bounding import certify_law
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.controller.controller import Controller
 from synth.controller.problem import Problem
 from synth.design.descent.refine import SEEN, Refinement, from_some, refine, worth_refining
 from synth.design.two_step import independent_rows
+from synth.plant.numerics import DesignError
+
+NOT_REFINED = "but --refine changes static gains, which have no integral; omit --refine"
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +45,27 @@ class RefinedController:
     def trade_off_text(self) -> str:
         """Text that describes the trade-off between the norm and the size of the gain."""
         return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.trade_off_text}"
+
+
+def refined_controller(designer: Any, name: str, zero_l: bool) -> RefinedController:
+    """Returns the refined controller of a vehicle from its `Designer`; see `Designer.refine`."""
+    entry, vehicle = designer.entry(name), designer.vehicle
+    measured = entry.measured
+    if not measured:
+        raise InputError(
+            f"controller {name!r} measures nothing, so it has no gain to refine; give a controller with measurements"
+        )
+    check_command(f"controller {entry.name!r}", entry.parts, "refine", DesignError)
+    if vehicle.integrals:
+        raise DesignError(f"controller {entry.name!r}: [performance] weights an integral, {NOT_REFINED}")
+    try:
+        start = designer.design(name, zero_l)
+    except DesignError:
+        start = None
+    problem, lower_bound = designer.problem(measured, entry.hardware), designer.lower_bound(measured, entry.hardware)
+    if entry.request.sampled and start is None:
+        designer.design(name)  # this call raises an error that states the reason
+    return refine_controller(vehicle, entry, problem, start, lower_bound)
 
 
 def refine_controller(
@@ -84,10 +111,21 @@ def refine_controller(
     return RefinedController(Controller.of(entry, law, certificate), start, origin, refinement)
 
 
-def worth(vehicle: Vehicle, controller: Controller, problem: Problem) -> float:
+def worth(designer: Any, controller: Controller) -> float:
     """Returns a cautious (low) estimate of the relative norm decrease that refinement would achieve; 0 if the decrease is
     negligible.
     """
+    vehicle = designer.vehicle
+    if (
+        not controller.designed
+        or controller.sampled  # a design for the sampled-data loop has already been refined
+        or not controller.measured
+        or not goes("refine", designer.entry(controller.name).parts)
+        or vehicle.integrals
+        or not controller.certificate.stable
+    ):
+        return 0.0
+    problem = designer.problem(controller.measured, controller.hardware)
     gap = controller.certificate.gap
     if gap is not None and gap <= SEEN:
         return 0.0

@@ -12,7 +12,7 @@ from synth.analysis.certificate import Certificate, LmiProof, bounded_real_exact
 from synth.analysis.norm import hinf_norm
 from synth.analysis.rigorous import definiteness
 from synth.design.two_step import two_step_design
-from synth.plant import double_double
+from synth.plant import iterative_refinement
 from synth.plant.generalized import Feedback, GeneralizedPlant
 from tests.claims.test_no_controller_beats_a_bound import of_lists
 from tests.support import exactly
@@ -275,6 +275,6 @@ def test_a_norm_that_rounding_may_have_moved_is_said_so(monkeypatch):
     """If no digits are won in time the certificate fails, and says by how much the norm may be off."""
     plant, G = next((plant, G) for plant, G in map(stiff, range(40)) if np.abs(G).max() > 1e12)
     assert certify(plant, G).failures == ()
-    monkeypatch.setattr(double_double, "MOST_TURNS", 1)
+    monkeypatch.setattr(iterative_refinement, "MOST_TURNS", 1)
     (said,) = certify(plant, G).failures
     assert said.startswith("rounding may change the norm by ")

@@ -10,11 +10,11 @@ import pytest
 from scipy import linalg
 
 from models.vehicle.vehicle import read_vehicle
-from synth.analysis.interpolation import limit_at_zeros
-from synth.analysis.invariant_point import invariant_limit, limit_at, limit_at_infinity
-from synth.analysis.lower_bound import DualCertificate, LowerBound, prove_lower_bound
+from synth.analysis.lower_bounds.exact_algebra import span_all
+from synth.analysis.lower_bounds.interpolation import limit_at_zeros
+from synth.analysis.lower_bounds.invariant_point import invariant_limit, limit_at, limit_at_infinity
+from synth.analysis.lower_bounds.lower_bound import DualCertificate, LowerBound, prove_lower_bound
 from synth.analysis.norm import hinf_norm
-from synth.analysis.rigorous import span_all
 from synth.design.two_step import state_feedback
 from synth.lmi import full_order_bound as full_order
 from synth.lmi.full_order_bound import find_lower_bound

@@ -8,11 +8,12 @@ import pytest
 from scipy import linalg
 
 from models.common.errors import InputError
-from synth.analysis.invariant_point import invariant_limit, limit_at
-from synth.analysis.lower_bound import DualCertificate, prove_lower_bound
+from synth.analysis.lower_bounds.exact_algebra import Nullspace, identity
+from synth.analysis.lower_bounds.invariant_point import invariant_limit, limit_at
+from synth.analysis.lower_bounds.lower_bound import DualCertificate, prove_lower_bound
+from synth.analysis.lower_bounds.synthesis_inequality import SynthesisInequality
 from synth.analysis.norm import hinf_norm
-from synth.analysis.rigorous import Nullspace, identity, integers, product
-from synth.analysis.synthesis_inequality import SynthesisInequality
+from synth.analysis.rigorous import integers, product
 from synth.design.static import static_output_feedback
 from synth.design.two_step import state_feedback
 from synth.lmi.full_order_bound import find_lower_bound

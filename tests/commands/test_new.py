@@ -14,7 +14,7 @@ from models.vehicle.vehicle import read_vehicle
 from sim.new import TEMPLATES, TYPES
 from synth.controller.law_margins import LEAST_DISK, law_fault
 from synth.controller.loop_of import loop_of
-from synth.controller.report import norm_or_failure
+from synth.controller.sampled_report import norm_or_failure
 from synth.controller.stability_margins import margins
 from synth.vehicle.designer import Designer, design_controllers
 from synth.vehicle.expected_ride import expected_ride

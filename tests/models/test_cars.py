@@ -18,7 +18,7 @@ from models.roads.road import Bump, RoadInput
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.drive import sensor_readout as readout
-from sim.recording.run_records import scene_of
+from sim.recording.scene import scene_of
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import difference
 from synth.vehicle.designer import Designer

@@ -16,7 +16,8 @@ from models.roads.road import RoadInput
 from sim.linear.sampled_response import continuous_response
 from sim.runs.run import run_controllers
 from synth.controller.implementation_norm import norm_as_implemented
-from synth.controller.report import STUDY, study_notes
+from synth.controller.measured_heights import STUDY
+from synth.controller.report import study_notes
 from synth.vehicle.designer import Designer
 from tests.support.commands import in_the_suite, main_of, prose, refused
 

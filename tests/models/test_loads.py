@@ -32,7 +32,8 @@ from sim.drive.response import Response
 from sim.inspect.__main__ import main as inspect
 from sim.runs.report import INVALID_EQUATIONS, NO_STATE, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure, static_angles
+from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure
+from sim.studies.ride.run_metrics import static_angles
 from tests.support.analysed import continuous_response, energy, sampled_response, simulate
 from tests.support.analysed import simulate_inputs as simulate_inputs
 from tests.support.commands import attacks, in_the_suite, once, prose

@@ -42,8 +42,8 @@ from models.roads.sinusoids import Multisine
 from models.vehicle.controller_section import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, Limits, LimitsSection
 from models.vehicle.payload import PayloadSection
-from models.vehicle.performance import WeightSection
 from models.vehicle.vehicle import VehicleFile, kind, kinds, parse_vehicle, read_vehicle
+from models.vehicle.weights import WeightSection
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
 from sim.studies.gallery.entries import Entry, MissingNumber, PrintedNumber

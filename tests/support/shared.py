@@ -242,7 +242,7 @@ def _design_of(vehicle: Vehicle, search: bool, name: str) -> Controller:
 
 def _bound_of(vehicle: Vehicle, search: bool, name: str) -> Any:
     designer = _designers.setdefault(_place(Designer, vehicle, search), Designer(vehicle, search))
-    entry = designer._entry(name)
+    entry = designer.entry(name)
     return designer.lower_bound(entry.measured, entry.hardware)
 
 

@@ -10,7 +10,7 @@ from scipy import linalg, optimize
 from models.common.errors import InputError
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate, certify, prove_bound
-from synth.analysis.invariant_point import invariant_limit
+from synth.analysis.lower_bounds.invariant_point import invariant_limit
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable, stability
 from synth.design.descent.refine import refine

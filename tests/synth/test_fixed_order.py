@@ -16,10 +16,10 @@ from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.studies.stability.study import check_loop
 from synth.analysis.certificate import FASTEST
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
 from synth.command.table import Row, answers
-from synth.controller.report import pid_line, sign_note
+from synth.controller.design_notes import pid_line, sign_note
 from synth.design.feedback import design_feedback
 from synth.design.fixed_order.fixed_order import _Search, fixed_order_design
 from synth.design.fixed_order.pattern import structured_gain
@@ -310,7 +310,8 @@ def test_an_unstable_pid_says_what_its_signs_mean():
 def test_an_integral_that_nothing_moves_is_said():
     """A loop with a pole at 0 says why it has no norm; a design of such a law is refused with the reason."""
     section = 'measured = ["sprung_velocity"]\n'
-    from synth.controller.report import IDLE_INTEGRAL, growth_lines
+    from synth.controller.integral_action import IDLE_INTEGRAL
+    from synth.controller.report import growth_lines
 
     designer = quarter_car(section + "pid = { kp = -800.0, ki = -200.0 }")
     given = designer.design("mine")

@@ -12,8 +12,8 @@ from models.common.schema import required_keys
 from models.document.figure import Spans
 from models.laws.goals import BOUNDS
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from synth.analysis.norm import gain_at
 from synth.analysis.specification import Specification
+from synth.analysis.twice_precision import gain_at
 from synth.command.responses import responses_figure
 from synth.command.table import Row
 from synth.vehicle.designer import Designer

@@ -8,7 +8,8 @@ import pytest
 from scipy import linalg
 
 from models.laws.linear import LinearLaw
-from synth.plant.loop import HoldInterval, Loop, frequency_response, hold_intervals, respond
+from synth.plant.harmonic_response import frequency_response
+from synth.plant.loop import HoldInterval, Loop, hold_intervals, respond
 from synth.plant.state_space import StateSpace
 from tests.support.commands import in_the_suite
 

@@ -5,13 +5,14 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from models.common.errors import InputError
 from models.laws.design_methods import BY_OTHER_KEYS, DESIGNS, METHODS
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import read_vehicle, shipped_vehicles
-from synth.analysis import stability
+from synth.analysis import stabilisability
 from synth.design import degenerate
 from synth.design.methods import design
 from synth.design.problem import DesignProblem
@@ -87,9 +88,12 @@ def test_every_method_is_a_function_of_a_problem():
 
 
 def test_a_static_problem_is_checked_for_stabilisability_once(monkeypatch):
-    """The modes of a plant are examined once for all methods that its static gain leads to."""
-    calls, examine = list[str](), stability.stabilisability_failures
-    monkeypatch.setattr(stability, "stabilisability_failures", lambda *given: calls.append("") or examine(*given))
-    problem = problem_of()
-    assert design(replace(problem, alternatives=True)).method.startswith("the two steps")
+    """The modes of an unstable plant are examined once for all methods that its static gain leads to; a stable plant's never."""
+    calls, examine = list[str](), stabilisability.stabilisability_failures
+    monkeypatch.setattr(stabilisability, "stabilisability_failures", lambda *given: calls.append("") or examine(*given))
+    problem = replace(problem_of(), alternatives=True, lower_bound=None, path=tuple)
+    assert design(problem).method.startswith("the two steps")
+    assert not calls
+    unstable = replace(problem.plant, A=problem.plant.A + 4.0 * np.eye(len(problem.plant.A)))
+    assert design(replace(problem, plant=unstable)).method.startswith("the two steps")
     assert len(calls) == 1

@@ -6,8 +6,8 @@ import pytest
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.certificate import certify
-from synth.analysis.interpolation import limit_at_zeros
-from synth.analysis.lower_bound import LowerBound, prove_lower_bound
+from synth.analysis.lower_bounds.interpolation import limit_at_zeros
+from synth.analysis.lower_bounds.lower_bound import LowerBound, prove_lower_bound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.record import read_proof, to_record
 from synth.design.feedback import design_feedback

@@ -50,7 +50,7 @@ def test_at_ten_milliseconds(name, best):
     norm = norm_as_implemented(vehicle, controller)
     assert norm.value <= best
     assert norm.reached == pytest.approx(norm.value, rel=1e-6)  # by an actual road, to the claim's own tolerance
-    problem = held_problem(vehicle, Designer(vehicle)._entry(name))
+    problem = held_problem(vehicle, Designer(vehicle).entry(name))
     gain, level = two_steps(problem, 7.8, None)
     assert norm_of(problem, gain, 7.8) <= level * (1 + 1e-8)  # what the limit of a path leaves
     assert norm.value <= level * (1 + 1e-8)
@@ -101,7 +101,7 @@ def test_the_loop_as_built_is_that_designed_for(name, delay, more, controllers):
     vehicle = asked(name, delay=delay, more=more)
     designer = Designer(vehicle)
     for each in controllers:
-        problem, controller = held_problem(vehicle, designer._entry(each)), designer.design(each)
+        problem, controller = held_problem(vehicle, designer.entry(each)), designer.design(each)
         norm = sampled_norm(problem.loop(controller.law.D), 7.8).value
         plant = problem.at(norm)
         assert plant is not None
@@ -120,7 +120,7 @@ def test_a_filter_in_z():
         "sprung_acceleration = 1.0", "sprung_acceleration = { numerator = [1.0, 2.0], denominator = [1.0, 20.0] }"
     )
     vehicle = parse_vehicle(text + ASKED.format(period=0.01, delay=0))
-    problem = held_problem(vehicle, Designer(vehicle)._entry("state"))
+    problem = held_problem(vehicle, Designer(vehicle).entry("state"))
     found = held(problem, 7.8)
     assert found.gain.shape == (1, 4)
     assert sampled_norm(problem.loop(found.gain), 7.8).value == pytest.approx(found.value, rel=1e-9)

@@ -100,7 +100,7 @@ def test_landscape(pose, seed, more):
     np.testing.assert_allclose(curvature, bends, atol=5e-2 * float(np.abs(curvature).max()))  # the peak's frequency, 1e-5 / 1e-4
 
 
-@pytest.mark.parametrize("seed", [0, *attacks((3, 4))])
+@pytest.mark.parametrize("seed", [4, *attacks((0, 3))])
 def test_state_feedback_by_descent_is_the_lmi_optimum(seed):
     """With every state measured, static output feedback is state feedback: the descent reaches the optimum of (22), or above."""
     plant, _ = random_plant(seed)

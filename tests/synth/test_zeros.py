@@ -8,10 +8,10 @@ from scipy import linalg
 
 from models.common.errors import InputError
 from synth.analysis.certificate import certify
-from synth.analysis.interpolation import limit_at_zeros, zero_limit
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.exact_algebra import radius_of_solution
+from synth.analysis.lower_bounds.interpolation import limit_at_zeros, zero_limit
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.analysis.record import read_proof, to_record
-from synth.analysis.rigorous import radius_of_solution
 from synth.design.two_step import state_feedback
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.generalized import GeneralizedPlant

@@ -24,7 +24,7 @@ from models.vehicle.controllers import ControllerEntry, DesignConditions
 from models.vehicle.performance import WeightedSum
 from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend.task import Task
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.controller.controller import Controller, on_readings
 from synth.controller.problem import Problem, problem
 from synth.design.descent.landscape import Work

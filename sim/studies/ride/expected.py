@@ -69,7 +69,7 @@ from sim.studies.ride.weighting import SampledWk, sampled_wk
 from synth.analysis.stability import stability
 from synth.controller.controller import AnyController, is_linear
 from synth.controller.loop_of import HEIGHT, MIDWAY, loop_of, radius, with_ending
-from synth.plant.loop import harmonic_states
+from synth.plant.harmonic_response import harmonic_states
 from synth.plant.quadrature import sample_band
 
 STILL = 1e-12  # a signal counts as zero if its variance is smaller than this, relative to the largest variance in the same unit

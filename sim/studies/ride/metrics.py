@@ -29,14 +29,11 @@ import numpy as np
 from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.common.extensions import METRICS
-from models.roads.road import Road
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 from sim.drive.jumps import Jumps
 from sim.drive.response import Response
 from sim.studies.ride.weighting import LATE, after_samples, sampled_wk
-from synth.controller.controller import AnyController
-from synth.controller.loop_of import loop_of
 
 if TYPE_CHECKING:
     from sim.studies.ride.gaussian import RandomSignals
@@ -48,28 +45,6 @@ PITCH, ROLL = "pitch_angle", "roll_angle"
 def angles_of(vehicle: Vehicle) -> Mapping[str, Mapping[str, float]]:
     """Returns, for each body angle by name, the weights of the signals whose weighted sum is the angle [rad]."""
     return vehicle.kind.angles(vehicle.parameters)
-
-
-def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time: float) -> dict[str, float]:
-    """Returns the body angles [deg] by name, in the equilibrium of the linear loop under constant loads.
-
-    The result is empty if the loop is unstable or the law is nonlinear.
-
-    Args:
-        vehicle: vehicle that the controller controls.
-        controller: controller of this vehicle.
-        road: road whose loads act on the body.
-        time: time [s] at which the road's loads are evaluated; the loads are then kept constant.
-    """
-    if controller.linear is False:
-        return {}
-    model, load = vehicle.linear_model, road.loads(vehicle, np.array([time]))[0]
-    closed = loop_of(vehicle, controller).closed_loop.part(model.outputs, model.loads)
-    if np.linalg.eigvals(closed.A).real.max() >= 0:
-        return {}
-    outputs = dict(zip(model.outputs, closed.response(np.zeros(1))[0] @ load, strict=True))
-    sums = angles_of(vehicle).items()
-    return {angle: DEGREES * sum(share * float(outputs.get(name, 0.0)) for name, share in parts.items()) for angle, parts in sums}
 
 
 RUNNING_TIME_CONSTANT = 1.0  # time constant with which the running rms is computed [s]

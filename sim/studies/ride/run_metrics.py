@@ -32,10 +32,11 @@ from sim.studies.ride.expected import (
     remaining_transient,
     settling_time,
 )
-from sim.studies.ride.metrics import compared_metrics, measure, metrics_of, static_angles
+from sim.studies.ride.metrics import DEGREES, angles_of, compared_metrics, measure, metrics_of
 from sim.studies.ride.statistical_linearisation import Equivalent, line_words
 from sim.studies.ride.statistical_linearisation import record as of_line
 from synth.controller.controller import AnyController
+from synth.controller.loop_of import loop_of
 
 UNIT = "m/km"
 ABOUT_IRI = "iri is a property of the road under the first wheel, defined at 80 km/h for any speed of the vehicle"
@@ -277,6 +278,28 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
         metrics[metric.name] = MetricComparison(metric.unit, found, linear, usual, off, approximate)
     static = static_angles(vehicle, controller, road, float(time[-1])) if road.loaded else None
     return RunMetrics(metrics, transient, expected and expected.error, expected and expected.line, static)
+
+
+def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time: float) -> dict[str, float]:
+    """Returns the body angles [deg] by name, in the equilibrium of the linear loop under constant loads.
+
+    The result is empty if the loop is unstable or the law is nonlinear.
+
+    Args:
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
+        road: road whose loads act on the body.
+        time: time [s] at which the road's loads are evaluated; the loads are then kept constant.
+    """
+    if controller.linear is False:
+        return {}
+    model, load = vehicle.linear_model, road.loads(vehicle, np.array([time]))[0]
+    closed = loop_of(vehicle, controller).closed_loop.part(model.outputs, model.loads)
+    if np.linalg.eigvals(closed.A).real.max() >= 0:
+        return {}
+    outputs = dict(zip(model.outputs, closed.response(np.zeros(1))[0] @ load, strict=True))
+    sums = angles_of(vehicle).items()
+    return {angle: DEGREES * sum(share * float(outputs.get(name, 0.0)) for name, share in parts.items()) for angle, parts in sums}
 
 
 def expected_cells(run: Run, metrics: RunMetrics) -> list[dict[str, str]]:

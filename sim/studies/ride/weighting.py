@@ -1,6 +1,6 @@
 """The frequency weighting W_k of ISO 2631-1 as a continuous-time filter and as a sampled filter.
 
-The constants of the transfer function H(s) are in `models/laws/filter.py`. Controller designs can use the same frequency
+The constants of the transfer function H(s) are in `models/laws/iso2631.py`. Controller designs can use the same frequency
 weighting.
 
 The sampled filter is exactly H with a first-order hold at the input. The sampled filter consists of parallel second-order
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array, recursion
-from models.laws.filter import F1, F2, F3, F4, F5, F6, Q1, Q2, Q4, Q5, Q6
+from models.laws.iso2631 import F1, F2, F3, F4, F5, F6, Q1, Q2, Q4, Q5, Q6
 
 DIFFERENCE = np.array([-1.0, 2.0, -1.0])  # filter with the response 2 - 2 cos(omega h), delayed by one sample
 LATE = 3  # delay of the sampled filter, in samples

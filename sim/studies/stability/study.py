@@ -22,8 +22,8 @@ from sim.studies.stability.report import compare, describe, record
 from sim.studies.study import Progress, StudyRequest
 from sim.studies.subject import Subject
 from synth.controller.controller import Controller
+from synth.controller.design_notes import sign_note
 from synth.controller.loop_of import loop_of, radius
-from synth.controller.report import sign_note
 
 RECORDED_TIME = 4.0  # s, duration of a recorded run
 

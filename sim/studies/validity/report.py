@@ -28,7 +28,7 @@ from sim.studies.validity.grid import UNITS, GridAxis
 from sim.studies.validity.regime_end import WITHIN, RegimeEnd
 from sim.studies.validity.regime_map import Cells
 from synth.controller.controller import Controller
-from synth.controller.report import built_words
+from synth.controller.sampled_report import built_words
 
 OneEnd = tuple[Controller, RegimeEnd | None]
 

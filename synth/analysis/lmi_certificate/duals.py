@@ -1,4 +1,6 @@
-"""Proofs of lower bounds in rational numbers, converted from `analysis/lower_bound.py` and `analysis/invariant_point.py`."""
+"""Proofs of lower bounds in rational numbers, converted from `lower_bound.py` and `invariant_point.py` in
+`analysis/lower_bounds`.
+"""
 
 from collections.abc import Callable
 from fractions import Fraction
@@ -6,12 +8,12 @@ from fractions import Fraction
 import numpy as np
 
 from models.common.arrays import Array
-from synth.analysis.invariant_point import proof_at
 from synth.analysis.lmi_certificate.check_certificate import ExactLoop, Matrix
 from synth.analysis.lmi_certificate.rational import decimal, rational, rounded, rows
-from synth.analysis.lower_bound import DualCertificate, LowerBound, dual_factors
+from synth.analysis.lower_bounds.invariant_point import proof_at
+from synth.analysis.lower_bounds.lower_bound import DualCertificate, LowerBound, dual_factors
+from synth.analysis.lower_bounds.synthesis_inequality import SynthesisInequality, cross_gram
 from synth.analysis.rigorous import floats, integers, product, zeros
-from synth.analysis.synthesis_inequality import SynthesisInequality, cross_gram
 from synth.plant.generalized import Plant
 
 # Combinations that are tried: the number of bits of a dual solution, and the relative reduction of V12 below its largest

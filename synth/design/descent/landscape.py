@@ -31,7 +31,7 @@ from scipy import linalg
 from scipy.linalg import lapack
 
 from models.common.arrays import Array
-from synth.analysis.norm import ILL_CONDITIONED, highest, largest_singular_values, level_crossings
+from synth.analysis.norm import ILL_CONDITIONED, largest_singular_values, level_crossings
 from synth.analysis.stability import balance
 from synth.plant.discrete import continuous_image, mapped_frequency
 from synth.plant.generalized import Plant
@@ -313,7 +313,7 @@ class Landscape:
         omega = self._inside(np.concatenate([np.imag(upper), np.abs(upper), self.peaks, modes.far[: self.noisy]]))
         best, at = (modes.at_infinity, np.inf) if np.isinf(high) else (0.0, low)
         for turn in range(30):
-            gain, i = highest(self._responses(modes, omega), best * (1 + NEAR))
+            gain, i = _highest(self._responses(modes, omega), best * (1 + NEAR))
             if gain > best * (1 + NEAR):
                 best, at = gain, float(omega[i])
             elif turn or best == 0:  # in the first iteration, a peak far from all poles may be higher than the gain at infinity
@@ -533,3 +533,19 @@ def _within(M: Array, free: Array) -> Array:
     inverse = np.linalg.inv(M)
     sizes, vectors = np.linalg.eigh((inverse.T @ inverse)[free][:, free])
     return vectors / np.sqrt(np.maximum(sizes, 1e-12 * sizes[-1])) @ vectors.T
+
+
+def _highest(T: Array, above: float) -> tuple[float, int]:
+    """Returns the largest singular value among F matrices, T of shape (F, d, r), and the index of the matrix to which it
+    belongs.
+
+    Singular values up to `above` are ignored. If no singular value exceeds `above`, returns 0 and the index -1. Most matrices
+    are excluded by their Frobenius norm, which is cheap to compute.
+    """
+    squares = (np.real(T) ** 2 + np.imag(T) ** 2).reshape(len(T), -1).sum(axis=1)
+    among = np.flatnonzero(~(squares <= above * above))
+    if not len(among):
+        return 0.0, -1
+    gains = largest_singular_values(T[among])
+    i = int(gains.argmax())
+    return float(gains[i]), int(among[i])

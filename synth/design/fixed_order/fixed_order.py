@@ -30,9 +30,9 @@ from models.laws.law_structure import FILTER, GAINS, ITS_GAINS, pid_tables
 from models.laws.linear import FEWER, LinearLaw
 from synth.analysis.bounding import certify_law
 from synth.analysis.certificate import FASTEST, Certificate
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
-from synth.analysis.stability import stabilisability_failures
+from synth.analysis.stabilisability import stabilisability_failures
 from synth.design.descent.landscape import Work
 from synth.design.fixed_order.pattern import StructuredGain, gains_on_filters, in_equal_units, structured_gain
 from synth.design.fixed_order.reduction import reductions

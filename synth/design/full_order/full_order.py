@@ -21,8 +21,8 @@ from models.common.errors import InputError
 from models.common.printed import about, brief, digits, percent, rough
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_law
-from synth.analysis.lower_bound import LowerBound
-from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
+from synth.analysis.lower_bounds.lower_bound import LowerBound
+from synth.analysis.stabilisability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import descend_norm
 from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, TradeOffPoint, lowest, pareto_front, select

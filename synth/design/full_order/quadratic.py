@@ -25,7 +25,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_law
-from synth.analysis.stability import balance, is_stable, stabilisability_failures
+from synth.analysis.stabilisability import stabilisability_failures
+from synth.analysis.stability import balance, is_stable
 from synth.design.problem import H2_NORM, DesignProblem, DesignResult, Progress
 from synth.plant.generalized import Plant, check_inputs, check_posed, real_matrix
 from synth.plant.normalised import NormalisedPlant

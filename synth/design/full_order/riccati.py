@@ -46,7 +46,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from synth.analysis.certificate import FASTEST
-from synth.analysis.norm import Gain, level_set_norm
+from synth.analysis.norm import Gain, largest_singular_values, level_set_norm
 from synth.analysis.stability import beside_weights, is_stable
 from synth.plant.augmented import closed_by
 from synth.plant.generalized import Plant
@@ -488,7 +488,7 @@ class RiccatiSearch:
             return None
         poles = np.linalg.eigvals(beside_weights(self.given, system.A)) if self.given.weights else loop.poles
         speed_up = own.rate * float(np.abs(poles).max()) / self.fastest
-        return TradeOffPoint(share, back, law, self, loop.at_poles() * (1 - ROUNDING_OF_GAIN) / own.norm, speed_up)
+        return TradeOffPoint(share, back, law, self, _gain_at_poles(loop) * (1 - ROUNDING_OF_GAIN) / own.norm, speed_up)
 
     def reduced(self, best: TradeOffPoint) -> TradeOffPoint:
         """Returns the controller without its negligible states if their removal neither changes the norm nor raises `trouble`."""
@@ -529,3 +529,14 @@ def _coarse(gamma: float) -> float:
     Without rounding down, results would depend on units, because bounds in different units have different rounding errors.
     """
     return float(np.exp2(np.floor(np.log2(gamma) / GRAIN) * GRAIN)) if gamma else 0.0
+
+
+def _gain_at_poles(gain: Gain) -> float:
+    """Returns the largest gain at infinity, at the ends of the interval and near the poles.
+
+    The returned gain is a lower bound on the norm and close to the norm.
+    """
+    upper = gain.poles[np.imag(gain.poles) >= 0]
+    omega = gain.within(np.concatenate([gain.edges, np.abs(upper), np.imag(upper)]))
+    gains = largest_singular_values(gain.system.frequency_response(omega))
+    return max(float(gains.max()), gain.at_infinity if gain.high == np.inf else 0.0)

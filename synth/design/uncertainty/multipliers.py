@@ -31,7 +31,8 @@ from models.common.arrays import Array
 from synth.analysis.stability import is_stable
 from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
 from synth.design.uncertainty.structured_loop import StructuredLoop
-from synth.lmi.barrier import CENTRE_DECREMENT, Barrier, Block, lowest_last, newton
+from synth.lmi.barrier import Barrier, Block, newton
+from synth.lmi.least_unknown import CENTRE_DECREMENT, lowest_last
 from synth.plant.generalized import Plant
 
 NEAR = 3e-4  # relative gap between the proved bound and the peak that the best multipliers give

@@ -17,7 +17,7 @@ from models.common.arrays import Array
 from models.common.printed import digits
 from models.laws.design_methods import FULL
 from models.laws.linear import LinearLaw
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bounds.lower_bound import LowerBound
 from synth.design.methods import design
 from synth.design.problem import MU, DesignProblem, DesignResult, Progress
 from synth.design.uncertainty.structured_bound import best_scales, structured_bound

@@ -26,7 +26,7 @@ from synth.analysis.uncertainty_box import MOST, Box, BoxProof, ScaledGain, lmi,
 from synth.design.descent.landscape import Landscape
 from synth.design.uncertainty.multipliers import NEAR, MultiplierProof, bound_in_band, stable_in_box
 from synth.design.uncertainty.problem import box_of, errors_of, scaled_gain
-from synth.lmi.barrier import lowest_last
+from synth.lmi.least_unknown import lowest_last
 from synth.lmi.stacked_barrier import StackedBarrier
 from synth.plant.generalized import Plant
 from synth.plant.numerics import numerics

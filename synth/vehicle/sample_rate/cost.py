@@ -22,7 +22,7 @@ from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import held_problem, norm_in_continuous_time, sampled_loop
 from synth.controller.loop_of import with_lag
-from synth.controller.report import has_sampled_norm
+from synth.controller.sampled_report import has_sampled_norm
 from synth.design.methods import design
 from synth.design.problem import DesignProblem
 from synth.plant.numerics import DesignError

@@ -16,7 +16,8 @@ from models.document.figure import Curve, Dash, Figure, Panel
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, delay_text
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.specification import SampledNorm
-from synth.controller.report import LOWER_BOUND, NORM, NORM_AS_IMPLEMENTED, PROOF, norm_failures
+from synth.controller.report import LOWER_BOUND, NORM
+from synth.controller.sampled_report import NORM_AS_IMPLEMENTED, PROOF, norm_failures
 from synth.vehicle.sample_rate.cost import SHORTEST, AtRate, Cost
 
 LITTLE = 1e-2  # a sample rate counts as cheap if the norm exceeds the continuous norm by at most this relative amount

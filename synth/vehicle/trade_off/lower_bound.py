@@ -22,7 +22,7 @@ from itertools import combinations
 import numpy as np
 
 from models.common.arrays import Array
-from synth.analysis.invariant_point import limit_at
+from synth.analysis.lower_bounds.invariant_point import limit_at
 from synth.design.descent.landscape import EVERYWHERE, Band
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.plant.generalized import Plant

@@ -23,8 +23,9 @@ from fractions import Fraction
 import numpy as np
 
 from models.common.arrays import Array
+from synth.analysis.lower_bounds.exact_algebra import Nullspace, identity, root_below, without_factors
 from synth.analysis.norm import largest_singular_values
-from synth.analysis.rigorous import Nullspace, floats, identity, integers, product, root_below, without_factors, zeros
+from synth.analysis.rigorous import floats, integers, product, zeros
 from synth.analysis.stability import balance, stability
 from synth.plant.generalized import Plant, check_continuous
 from synth.plant.units import own_units

@@ -38,9 +38,9 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.analysis.invariant_point import limit_at, limit_at_infinity
-from synth.analysis.rigorous import radius_of_solution
-from synth.analysis.synthesis_inequality import SynthesisInequality
+from synth.analysis.lower_bounds.exact_algebra import radius_of_solution
+from synth.analysis.lower_bounds.invariant_point import limit_at, limit_at_infinity
+from synth.analysis.lower_bounds.synthesis_inequality import SynthesisInequality
 from synth.plant.generalized import Plant
 from synth.plant.units import nearest_power, own_units
 

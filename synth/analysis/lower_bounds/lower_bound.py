@@ -35,12 +35,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
-from synth.analysis.rigorous import UNIT, definite_beyond, definiteness, floats, integers, product, root_below
-from synth.analysis.synthesis_inequality import AntistablePart, SynthesisInequality, cross_gram
+from synth.analysis.lower_bounds.exact_algebra import root_below
+from synth.analysis.lower_bounds.synthesis_inequality import AntistablePart, SynthesisInequality, cross_gram
+from synth.analysis.rigorous import UNIT, definite_beyond, definiteness, floats, integers, product
 from synth.plant.generalized import Plant
 
 if TYPE_CHECKING:
-    from synth.analysis.interpolation import Zeros
+    from synth.analysis.lower_bounds.interpolation import Zeros
 
 
 # relative reductions of the best V12, tried in this order until V is proved to be positive definite

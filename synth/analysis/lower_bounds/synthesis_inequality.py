@@ -42,17 +42,8 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.analysis.rigorous import (
-    Nullspace,
-    floats,
-    identity,
-    integers,
-    product,
-    radius_of_solution,
-    span_all,
-    without_factors,
-    zeros,
-)
+from synth.analysis.lower_bounds.exact_algebra import Nullspace, identity, radius_of_solution, span_all, without_factors
+from synth.analysis.rigorous import floats, integers, product, zeros
 from synth.plant.generalized import Plant
 from synth.plant.units import nearest_power
 

@@ -1,0 +1,1 @@
+"""Lower bounds on the norm of every controller with given measurements, and their proofs."""
