@@ -184,7 +184,7 @@ def parser_of(command: str) -> Parser:
 def commands() -> str:
     """Returns the page of all commands and their options."""
     parsers = {name: parser_of(name) for name, _, _ in COMMANDS}
-    many = Counter(_option(action) for parser in parsers.values() for action in parser._actions)
+    many = Counter(row for parser in parsers.values() for row in _options(parser))
     common = [row for row, count in many.items() if count > 1]
     text = (
         "# Commands\n\n`roadproof bump` is the same as `python -m sim.bump`; the other commands have both forms, too.\n\n"
@@ -192,12 +192,18 @@ def commands() -> str:
     )
     for verb, (name, purpose, _) in zip(VERBS, COMMANDS, strict=True):
         parser = parsers[name]
-        entries = [_option(action) for action in parser._actions]
+        entries = _options(parser)
         rows = [row for row in entries if row not in common]
-        rows.append((", ".join(row[0] for row in entries if row in common), "see the common options"))
         page = parser.page.removeprefix("docs/")
         text += f"\n## roadproof {verb}\n\nPurpose: [{purpose}](../{page})\n\n{table(('option', 'meaning'), rows)}"
+        shared = code(option for row in entries if row in common for option in re.findall(r"`([^ `]+)[^`]*`", row[0]))
+        text += f"\nCommon options: {shared}.\n"
     return text
+
+
+def _options(parser: Parser) -> list[tuple[str, str]]:
+    """Returns the options of a parser, each with its meaning, except hidden ones."""
+    return [_option(action) for action in parser._actions if action.help != argparse.SUPPRESS]
 
 
 def _option(action: argparse.Action) -> tuple[str, str]:
@@ -210,8 +216,11 @@ def _option(action: argparse.Action) -> tuple[str, str]:
 
 
 def cell(text: str) -> str:
-    """Returns a text in which Markdown shows every character literally."""
-    return re.sub(r"([\[\]*_<>`])", r"\\\1", " ".join(text.split()))
+    """Returns a text in which Markdown shows every character literally, and options as code."""
+    parts = re.split(r"(`[^`]*`|(?<![\w-])--[a-z][a-z-]*)", " ".join(text.split()))
+    parts[1::2] = [f"`{code.strip('`')}`" for code in parts[1::2]]
+    parts[::2] = [re.sub(r"([\[\]*_<>`])", r"\\\1", plain) for plain in parts[::2]]
+    return "".join(parts)
 
 
 # Vehicle files, from the tables of their readers
@@ -223,11 +232,30 @@ def guides() -> list[tuple[Path, str]]:
     return [(path, path.read_text(encoding="utf-8")) for glob in GUIDES for path in sorted(HERE.glob(glob))]
 
 
-def shown_in(key: str) -> str:
-    """Returns a link to a page that contains a key of a vehicle file as code; empty if there is no such page."""
+def shown_in(key: str, section: str = "") -> dict[Path, int]:
+    """Returns how often each page shows a key of a vehicle file as code, for pages that contain a text of its section."""
     there = re.compile(rf"`{key}\b|^{key} = |[{{,] *{key} = |^\[{key}[\].]|\b{key} \[", re.M)
-    path = next((path for path, text in guides() if key in text and there.search(text)), None)
-    return "" if path is None else f"[{path.stem.replace('-', ' ')}](../{path.relative_to(HERE).as_posix()})"
+    counts = {path: len(there.findall(text)) for path, text in guides() if key in text and section in text}
+    return {path: count for path, count in counts.items() if count}
+
+
+def links(paths: Iterable[Path]) -> str:
+    """Returns links to pages, with commas."""
+    names = {path: path.stem.replace("-", " ").replace("semi ", "semi-").replace("built in", "built-in") for path in paths}
+    return ", ".join(f"[{name}](../{path.relative_to(HERE).as_posix()})" for path, name in names.items())
+
+
+def explained_in(section: str, keys: Iterable[str]) -> list[Path]:
+    """Returns the pages that show most keys of a section: the first page, and pages with at least three more keys each."""
+    pages: list[Path] = []
+    left = [shown for key in keys if (shown := shown_in(key, section))]
+    while left:
+        best = max((path for path, _ in guides()), key=lambda page: sum(page in shown for shown in left))
+        rest = [shown for shown in left if best not in shown]
+        if pages and len(left) - len(rest) < 3:
+            break
+        pages, left = [*pages, best], rest
+    return pages
 
 
 def section_keys(section: type[schema.Section]) -> list[tuple[str, str, str]]:
@@ -247,7 +275,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     }
     sections["[performance]"] = [("road", "", "filter from the disturbance w to the road velocity under every wheel")]
     sections["[performance]"] += section_keys(WeightSection)
-    sections["[controllers.NAME]"] = section_keys(ControllerSection)
+    sections[CONTROLLER] = section_keys(ControllerSection)
     sections["minimise of a controller"] = section_keys(Minimise)
     bounds = [row for one in BOUNDS for row in section_keys(one)]
     sections["bounds of a controller"] = [*dict.fromkeys(bounds)]
@@ -285,31 +313,63 @@ def default(parameter: Any) -> str:
 
 
 PARAMETERS = "[parameters] of a "
-COLUMNS = "key", "unit", "meaning", "used in"
+CONTROLLER = "[controllers.NAME]"
+COLUMNS = "key", "unit", "meaning"
 
 
 def vehicle_file() -> str:
     """Returns the page of all keys of a vehicle file, and of a campaign file."""
-    text = '# Keys of a vehicle file\n\nNumbers are in SI units, or in quotes with their unit, as in `"22 N/mm"`. '
-    text += "The last column links to a page that shows the key in use.\n"
+    text = '# Keys of a vehicle file\n\nNumbers are in SI units, or in quotes with their unit, as in `"22 N/mm"`.\n'
+    sections = key_sections()
     written = {
         section: [
-            (code(names), unit, cell(meaning) if "`" not in meaning else meaning, shown_in(names[0]))
+            (code(names), unit, cell(meaning) if "`" not in meaning else meaning, *used_in(section, names[0]))
             for names, unit, meaning in of_both_sides(keys)
         ]
-        for section, keys in key_sections().items()
+        for section, keys in sections.items()
     }
-    of_types = {section: rows for section, rows in written.items() if section.startswith(PARAMETERS)}
-    types: dict[tuple[str, ...], list[str]] = {}
-    for section, rows in of_types.items():
+    of_types = {section.removeprefix(PARAMETERS): rows for section, rows in written.items() if section.startswith(PARAMETERS)}
+    types: dict[tuple[str, ...], dict[str, list[str]]] = {}  # keys of each type that differ only in their side
+    for name, rows in of_types.items():
         for row in rows:
-            types.setdefault(row, []).append(f"`{section.removeprefix(PARAMETERS)}`")
-    common = [(*row, ", ".join(some)) for row, some in types.items() if len(some) > 1]
-    text += f"\n## [parameters] of several vehicle types\n\n{table((*COLUMNS, 'types'), common)}"
+            types.setdefault(without_sides(row), {})[name] = row[0].split(", ")
+    common = [
+        (", ".join(dict.fromkeys(one for names in of.values() for one in names)), *row[1:], code(of))
+        for row, of in types.items()
+        if len(of) > 1
+    ]
+    text += "\n## [parameters] of several vehicle types\n\n"
+    text += see("[parameters", (key for name in of_types for key, *_ in sections[f"{PARAMETERS}{name}"]))
+    text += table((*COLUMNS, "types"), common)
     for section, rows in written.items():
-        own = [row for row in rows if section not in of_types or len(types[row]) == 1]
-        text += f"\n## {section}\n\n{table(COLUMNS, own)}"
+        text += f"\n## {section}\n\n"
+        if section.startswith(PARAMETERS):
+            text += table(COLUMNS, [row for row in rows if len(types[without_sides(row)]) == 1])
+        elif section == CONTROLLER:
+            text += table((*COLUMNS, "used in"), rows)
+        else:
+            words = "[controllers" if "controller" in section else (re.findall(r"^\[\w+", section) or [""])[0]
+            text += see(words, (key for key, *_ in sections[section])) + table(COLUMNS, rows)
     return text
+
+
+def without_sides(row: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns the row of a key without its side, as in `motion_ratio`, in place of one key or more with their sides."""
+    return re.sub(f"_({SIDES})(?=`)", "", row[0].partition(",")[0]), *row[1:]
+
+
+def used_in(section: str, key: str) -> tuple[str, ...]:
+    """Returns a link to the page that shows a key of a controller most often; no cell for other sections."""
+    if section != CONTROLLER:
+        return ()
+    counts = shown_in(key, "[controllers")
+    return (links([max(counts, key=lambda page: counts[page])] if counts else []),)
+
+
+def see(section: str, keys: Iterable[str]) -> str:
+    """Returns a line with links to the pages that explain a section; empty if there is no such page."""
+    pages = explained_in(section, keys)
+    return f"See {links(pages)}.\n\n" if pages else ""
 
 
 def of_both_sides(keys: Iterable[tuple[str, str, str]]) -> Iterator[tuple[list[str], str, str]]:
@@ -359,9 +419,8 @@ def signal_tables() -> str:
     text += "The states of a controller are `controller_1`, `controller_2` and so on.\n"
     for name in kinds():
         listed, measured = [one.name for one in kind(name).signals], read_vehicle(name).linear_model.measurable
-        others = [one for one in listed if one not in measured]
-        text += f"\n## {name}\n\n{code(listed)}.\n\nControllers may measure all of them except {code(others)}.\n"
-        text += f"They may also measure {code(more)}.\n" if (more := [one for one in measured if one not in listed]) else ""
+        text += f"\n## {name}\n\nControllers may measure {code(measured)}.\n\n"
+        text += f"Other signals: {code(one for one in listed if one not in measured)}.\n"
     return f"{text}\n## A vehicle with a seat\n\nWith `[seat]` every vehicle also has {code(one.name for one in SEAT_SIGNALS)}.\n"
 
 
@@ -419,10 +478,11 @@ def metric_tables() -> str:
         )
         for one in metrics.metrics_of(read_vehicle("quarter_car"), True)
     ]
-    others = [f"`{one.name}`" for one in metrics.metrics_of(read_vehicle("full_car"), True)]
+    wheels = [re.sub(f"(front|rear)_({SIDES})", "WHEEL", one.name) for one in metrics.metrics_of(read_vehicle("full_car"), True)]
     return (
         f"# Metrics\n\n{about}\n\n```text\n{formulas}\n```\n\n## Metrics of a quarter-car\n\n"
-        f"{table(headings, rows)}\n## Metrics of a full car\n\n{', '.join(others)}.\n"
+        f"{table(headings, rows)}\n## Metrics of a full car\n\n`WHEEL` is a wheel, as in `front_left`.\n\n"
+        f"{code(dict.fromkeys(wheels))}.\n"
     )
 
 
@@ -574,9 +634,7 @@ def names(package: Any) -> str:
         if inspect.ismodule(value) or callable(value):
             lines += [f".. {directive}:: {value.__name__ if inspect.ismodule(value) else f'{package.__name__}.{name}'}", ""]
             if inspect.isclass(value) and issubclass(value, schema.Section):
-                lines += [f"   :param {key}: {meaning}{unit and f' [{unit}]'}" for key, unit, meaning in section_keys(value)] + [
-                    ""
-                ]
+                lines += ["   The arguments are the numbers in :doc:`roads`.", ""]
         else:
             lines += [f".. py:data:: {package.__name__}.{name}", "", f"   {value!r}", ""]
     return "\n".join([*lines, "```", ""])
