@@ -54,6 +54,7 @@ from models.roads.rig_file import RigSettings
 from models.roads.road import Bump
 from models.vehicle.controller_section import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
+from models.vehicle.names import LOAD_SYNTAX, ROAD_SYNTAX
 from models.vehicle.payload import PayloadSection
 from models.vehicle.performance import WeightSection
 from models.vehicle.sketch import vehicle_sketch
@@ -206,13 +207,17 @@ def _options(parser: Parser) -> list[tuple[str, str]]:
     return [_option(action) for action in parser._actions if action.help != argparse.SUPPRESS]
 
 
+LISTED = {ROAD_SYNTAX: "roads", LOAD_SYNTAX: "loads"}  # texts in the help of options that a page explains in more detail
+
+
 def _option(action: argparse.Action) -> tuple[str, str]:
     """Returns an option as it is written, and its meaning."""
     value = action.metavar if action.nargs != 0 and isinstance(action.metavar, str) else ""
     options = ", ".join(f"`{' '.join(filter(None, (option, value)))}`" for option in action.option_strings)
-    return options or f"`{value or action.dest}`", cell(
-        re.sub(r"python -m (sim[. ])?", "roadproof ", (action.help or "").replace("%%", "%"))
-    )
+    meaning = re.sub(r"python -m (sim[. ])?", "roadproof ", (action.help or "").replace("%%", "%"))
+    for choices, name in LISTED.items():
+        meaning = meaning.replace(f": {choices}", f"; see \0{name}\0")
+    return options or f"`{value or action.dest}`", re.sub(r"\0(\w+)\0", r"[\1](../how-to/\1.md)", cell(meaning))
 
 
 def cell(text: str) -> str:
@@ -299,7 +304,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
         ("white", "", "true if the residuals are white"),
         ("logs", "", "SHA-256 of each log"),
     ]
-    sections |= {f'[parts.NAME] with kind = "{name}"': section_keys(one) for name, one in element_kinds().items()}
+    sections |= {f'{PARTS}"{name}"': section_keys(one) for name, one in element_kinds().items()}
     sections["a campaign file"] = section_keys(CampaignFile)
     sections["[samples] of a campaign file"] = section_keys(SamplesSection)
     return sections
@@ -313,6 +318,8 @@ def default(parameter: Any) -> str:
 
 
 PARAMETERS = "[parameters] of a "
+PARTS = "[parts.NAME] with kind = "
+ALIKE = {PARAMETERS: "[parameters] of several vehicle types", PARTS: "[parts.NAME] with one of several kinds"}  # their headings
 CONTROLLER = "[controllers.NAME]"
 COLUMNS = "key", "unit", "meaning"
 
@@ -328,29 +335,34 @@ def vehicle_file() -> str:
         ]
         for section, keys in sections.items()
     }
-    of_types = {section.removeprefix(PARAMETERS): rows for section, rows in written.items() if section.startswith(PARAMETERS)}
-    types: dict[tuple[str, ...], dict[str, list[str]]] = {}  # keys of each type that differ only in their side
-    for name, rows in of_types.items():
-        for row in rows:
-            types.setdefault(without_sides(row), {})[name] = row[0].split(", ")
-    common = [
-        (", ".join(dict.fromkeys(one for names in of.values() for one in names)), *row[1:], code(of))
-        for row, of in types.items()
-        if len(of) > 1
-    ]
-    text += "\n## [parameters] of several vehicle types\n\n"
-    text += see("[parameters", (key for name in of_types for key, *_ in sections[f"{PARAMETERS}{name}"]))
-    text += table((*COLUMNS, "types"), common)
     for section, rows in written.items():
-        text += f"\n## {section}\n\n"
-        if section.startswith(PARAMETERS):
-            text += table(COLUMNS, [row for row in rows if len(types[without_sides(row)]) == 1])
+        if prefix := next((prefix for prefix in ALIKE if section.startswith(prefix)), ""):
+            alike = {name.removeprefix(prefix): rows for name, rows in written.items() if name.startswith(prefix)}
+            shared = of_several(alike)
+            if rows is next(iter(alike.values())):
+                some = see(prefix.partition("]")[0], [key for name in alike for key, *_ in sections[f"{prefix}{name}"]])
+                text += f"\n## {ALIKE[prefix]}\n\n{some}{table((*COLUMNS, 'types'), shared.values())}"
+            if rows := [row for row in rows if without_sides(row) not in shared]:
+                text += f"\n## {section}\n\n{table(COLUMNS, rows)}"
         elif section == CONTROLLER:
-            text += table((*COLUMNS, "used in"), rows)
+            text += f"\n## {section}\n\n{table((*COLUMNS, 'used in'), rows)}"
         else:
             words = "[controllers" if "controller" in section else (re.findall(r"^\[\w+", section) or [""])[0]
-            text += see(words, (key for key, *_ in sections[section])) + table(COLUMNS, rows)
+            text += f"\n## {section}\n\n{see(words, (key for key, *_ in sections[section]))}{table(COLUMNS, rows)}"
     return text
+
+
+def of_several(alike: Mapping[str, list[tuple[str, ...]]]) -> dict[tuple[str, ...], tuple[str, ...]]:
+    """Returns the rows of keys that several types have with the same meaning, each with the keys of all types, and the types."""
+    types: dict[tuple[str, ...], dict[str, list[str]]] = {}
+    for name, rows in alike.items():
+        for row in rows:
+            types.setdefault(without_sides(row), {})[name] = row[0].split(", ")
+    return {
+        row: (", ".join(dict.fromkeys(one for names in of.values() for one in names)), *row[1:], code(of))
+        for row, of in types.items()
+        if len(of) > 1
+    }
 
 
 def without_sides(row: tuple[str, ...]) -> tuple[str, ...]:
@@ -388,7 +400,7 @@ def together() -> str:
     rows = {**KINDS, **{part: name for part, name in DEMANDS.items() if part != "force"}}
     text = (
         f"# Compatible options\n\nThe first {len(KINDS)} rows are control laws and designs. A controller's section has one of "
-        'them. The other rows are keys that a section can have in addition. "yes" means that a row and a column can be combined. '
+        'them. The other rows are keys that a section can have in addition. "✓" means that a row and a column can be combined. '
         "If a section has several keys, each pair of them must be compatible. Roadproof refuses other combinations and prints "
         "the reason.\n\n"
         '- "Goals" are all keys of [goals](../how-to/goals.md).\n'
@@ -399,7 +411,7 @@ def together() -> str:
     )
     for columns in (KEYS, tuple(OPTIONS)):
         marks = [
-            (name, *("" if row == column else "-" if refusal(row, column) else "yes" for column in columns))
+            (name, *("" if row == column else "-" if refusal(row, column) else "✓" for column in columns))
             for row, name in rows.items()
         ]
         text += f"\n{table(('', *({**DEMANDS, **OPTIONS}[column] for column in columns)), marks)}"
@@ -429,13 +441,15 @@ def code(names: Iterable[str]) -> str:
     return ", ".join(f"`{name}`" for name in names)
 
 
-def numbers(section: type) -> str:
-    """Returns the table of the numbers of a road or load, with their defaults."""
-    rows = [
+NUMBERS = "number", "default", "unit", "allowed", "meaning"
+
+
+def numbers(section: type) -> list[tuple[str, ...]]:
+    """Returns the numbers of a road or load, with their defaults."""
+    return [
         (f"`{one.name}`", "" if one.default in (None, MISSING, ()) else f"{one.default}", key.unit, allowed(key), key.meaning)
         for one, key in zip(fields(section), schema.keys(section).values(), strict=True)
     ]
-    return table(("number", "default", "unit", "allowed", "meaning"), rows)
 
 
 def allowed(key: schema.Key) -> str:
@@ -453,13 +467,26 @@ def first(owner: Any) -> str:
 def roads() -> str:
     """Returns the page of roads and loads."""
     text = (
-        "# Roads and loads\n\nWrite a road as in `--road pothole:depth=0.06:length=1.5`, and a load as in `--load brake:g=0.5`.\n"
+        "# Roads and loads\n\nWrite a road as in `--road pothole:depth=0.06:length=1.5`, and a load as in `--load brake:g=0.5`. "
+        "Add loads to a road with `+`: `--road 'bump + brake:g=0.5'`.\n"
     )
     settings = {Rig: RigSettings, Profile: TableSettings}
-    for what, table_of in (("Road", {"iso8608": Iso8608, **OBSTACLES, "rig": Rig, "from a file": Profile}), ("Load", LOADS)):
-        for name, owner in table_of.items():
-            text += f"\n## {what} {name}\n\n{first(owner)}\n\n{numbers(settings.get(owner, owner))}"
-    return text
+    for name, owner in {"iso8608": Iso8608, **OBSTACLES, "rig": Rig, "from a file": Profile}.items():
+        text += f"\n## Road {name}\n\n{first(owner)}\n\n{table(NUMBERS, numbers(settings.get(owner, owner)))}"
+    loads = {name: {(row[0], *row[2:]): row[1] for row in numbers(owner)} for name, owner in LOADS.items()}
+    shared = [row for row in next(iter(loads.values())) if all(row in rows for rows in loads.values())]
+    for name, owner in LOADS.items():
+        own = [row for row in numbers(owner) if (row[0], *row[2:]) not in shared]
+        text += f"\n## Load {name}\n\n{first(owner)}\n\n{table(NUMBERS, own)}"
+    common = [(row[0], _defaults({name: rows[row] for name, rows in loads.items()}), *row[1:]) for row in shared]
+    return f"{text}\n## Start and end of a load\n\n{table(NUMBERS, common)}"
+
+
+def _defaults(values: Mapping[str, str]) -> str:
+    """Returns the default of a number: the value of most loads, and the values of the other loads."""
+    ((usual, _),) = Counter(values.values()).most_common(1)
+    others = [f"{value} for `{name}`" for name, value in values.items() if value != usual]
+    return ", ".join([usual, *others])
 
 
 def metric_tables() -> str:
@@ -679,10 +706,10 @@ def drawn() -> list[tuple[str, str, str, Path]]:
 
 def gallery() -> str:
     """Returns the page of pictures, with the command that draws each."""
-    text = "# Gallery of pictures\n\nThe command below each picture draws it. The tests run every command.\n"
+    text = "# Gallery of pictures\n\nThe command below each picture draws it.\n"
     for name, alt, line, path in drawn():
         page = path.relative_to(HERE).as_posix()
-        text += f"\n![{alt}](../.github/pictures/{name})\n\n{alt}. [How to read it]({page}).\n\n```text\n{line}\n```\n"
+        text += f"\n![{alt}](../.github/pictures/{name})\n\n[{alt}]({page}).\n\n```text\n{line}\n```\n"
     return text
 
 
