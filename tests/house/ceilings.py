@@ -174,7 +174,7 @@ runs, verdict, their text                                      2861   1052    10
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{why-mujoco,not-modelled}.md
-commands that drive                                            1196   1000    371
+commands that drive                                            1196   1000    372
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
