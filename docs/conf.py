@@ -22,14 +22,19 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build", "examples"]
 html_theme = "furo"
 html_title = "Roadproof"
+html_static_path = ["_static"]
+html_css_files = ["pictures.css"]
 html_math_renderer = "mathml"  # browsers display MathML without scripts or network
 html_show_sourcelink = False
+html_use_index = False  # the search and the pages of the Python API list the same names
+html_domain_indices = False
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
 suppress_warnings = ["ref.python"]  # two classes of different packages may share a name
 autodoc_typehints = "none"  # docstrings have shapes and units
 autodoc_member_order = "bysource"
 napoleon_use_ivar = True
+napoleon_attr_annotations = False  # as for arguments
 toc_object_entries = False
 
 
@@ -47,6 +52,20 @@ def mathml(translator: SphinxTranslator, node: nodes.math | nodes.math_block) ->
 def escape_bars(app: Sphinx, what: str, name: str, owner: object, options: object, lines: list[str]) -> None:
     """Escapes the bars of |K| in docstrings, which reStructuredText reads as a substitution."""
     lines[:] = [line.replace("|", r"\|") for line in lines]
+
+
+def shorten_deprecated(app: Sphinx, what: str, name: str, owner: object, options: object, lines: list[str]) -> None:
+    """Reduces the docstring of a deprecated function or class to its first paragraph, which gives the replacement."""
+    if lines and re.search("Deprecated|Obsolete", lines[0]):
+        del lines[lines.index("") :]
+
+
+def tidy_signature(
+    app: Sphinx, what: str, name: str, owner: object, options: object, signature: str | None, returned: str | None
+) -> tuple[str | None, str | None]:
+    """Replaces default values that are objects, which have no Python text, by "..."."""
+    pattern = r"<[^<>]*>|PosixPath\('/[^']*'\)"
+    return (signature and re.sub(pattern, "...", signature), returned)
 
 
 def omit_summaries(app: Sphinx, name: str, source: list[str]) -> None:
@@ -86,3 +105,5 @@ def setup(app: Sphinx) -> None:
     app.connect("source-read", omit_summaries)
     app.connect("build-finished", write_redirects)
     app.connect("autodoc-process-docstring", escape_bars)
+    app.connect("autodoc-process-docstring", shorten_deprecated)
+    app.connect("autodoc-process-signature", tidy_signature)

@@ -54,6 +54,7 @@ from models.roads.rig_file import RigSettings
 from models.roads.road import Bump
 from models.vehicle.controller_section import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
+from models.vehicle.names import LOAD_SYNTAX, ROAD_SYNTAX
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import kind, kinds, read_vehicle
@@ -184,7 +185,7 @@ def parser_of(command: str) -> Parser:
 def commands() -> str:
     """Returns the page of all commands and their options."""
     parsers = {name: parser_of(name) for name, _, _ in COMMANDS}
-    many = Counter(_option(action) for parser in parsers.values() for action in parser._actions)
+    many = Counter(row for parser in parsers.values() for row in _options(parser))
     common = [row for row, count in many.items() if count > 1]
     text = (
         "# Commands\n\n`roadproof bump` is the same as `python -m sim.bump`; the other commands have both forms, too.\n\n"
@@ -192,26 +193,39 @@ def commands() -> str:
     )
     for verb, (name, purpose, _) in zip(VERBS, COMMANDS, strict=True):
         parser = parsers[name]
-        entries = [_option(action) for action in parser._actions]
+        entries = _options(parser)
         rows = [row for row in entries if row not in common]
-        rows.append((", ".join(row[0] for row in entries if row in common), "see the common options"))
         page = parser.page.removeprefix("docs/")
         text += f"\n## roadproof {verb}\n\nPurpose: [{purpose}](../{page})\n\n{table(('option', 'meaning'), rows)}"
+        shared = code(option for row in entries if row in common for option in re.findall(r"`([^ `]+)[^`]*`", row[0]))
+        text += f"\nCommon options: {shared}.\n"
     return text
+
+
+def _options(parser: Parser) -> list[tuple[str, str]]:
+    """Returns the options of a parser, each with its meaning, except hidden ones."""
+    return [_option(action) for action in parser._actions if action.help != argparse.SUPPRESS]
+
+
+LISTED = {ROAD_SYNTAX: "roads", LOAD_SYNTAX: "loads"}  # texts in the help of options that a page explains in more detail
 
 
 def _option(action: argparse.Action) -> tuple[str, str]:
     """Returns an option as it is written, and its meaning."""
     value = action.metavar if action.nargs != 0 and isinstance(action.metavar, str) else ""
     options = ", ".join(f"`{' '.join(filter(None, (option, value)))}`" for option in action.option_strings)
-    return options or f"`{value or action.dest}`", cell(
-        re.sub(r"python -m (sim[. ])?", "roadproof ", (action.help or "").replace("%%", "%"))
-    )
+    meaning = re.sub(r"python -m (sim[. ])?", "roadproof ", (action.help or "").replace("%%", "%"))
+    for choices, name in LISTED.items():
+        meaning = meaning.replace(f": {choices}", f"; see \0{name}\0")
+    return options or f"`{value or action.dest}`", re.sub(r"\0(\w+)\0", r"[\1](../how-to/\1.md)", cell(meaning))
 
 
 def cell(text: str) -> str:
-    """Returns a text in which Markdown shows every character literally."""
-    return re.sub(r"([\[\]*_<>`])", r"\\\1", " ".join(text.split()))
+    """Returns a text in which Markdown shows every character literally, and options as code."""
+    parts = re.split(r"(`[^`]*`|(?<![\w-])--[a-z][a-z-]*)", " ".join(text.split()))
+    parts[1::2] = [f"`{code.strip('`')}`" for code in parts[1::2]]
+    parts[::2] = [re.sub(r"([\[\]*_<>`])", r"\\\1", plain) for plain in parts[::2]]
+    return "".join(parts)
 
 
 # Vehicle files, from the tables of their readers
@@ -223,11 +237,30 @@ def guides() -> list[tuple[Path, str]]:
     return [(path, path.read_text(encoding="utf-8")) for glob in GUIDES for path in sorted(HERE.glob(glob))]
 
 
-def shown_in(key: str) -> str:
-    """Returns a link to a page that contains a key of a vehicle file as code; empty if there is no such page."""
+def shown_in(key: str, section: str = "") -> dict[Path, int]:
+    """Returns how often each page shows a key of a vehicle file as code, for pages that contain a text of its section."""
     there = re.compile(rf"`{key}\b|^{key} = |[{{,] *{key} = |^\[{key}[\].]|\b{key} \[", re.M)
-    path = next((path for path, text in guides() if key in text and there.search(text)), None)
-    return "" if path is None else f"[{path.stem.replace('-', ' ')}](../{path.relative_to(HERE).as_posix()})"
+    counts = {path: len(there.findall(text)) for path, text in guides() if key in text and section in text}
+    return {path: count for path, count in counts.items() if count}
+
+
+def links(paths: Iterable[Path]) -> str:
+    """Returns links to pages, with commas."""
+    names = {path: path.stem.replace("-", " ").replace("semi ", "semi-").replace("built in", "built-in") for path in paths}
+    return ", ".join(f"[{name}](../{path.relative_to(HERE).as_posix()})" for path, name in names.items())
+
+
+def explained_in(section: str, keys: Iterable[str]) -> list[Path]:
+    """Returns the pages that show most keys of a section: the first page, and pages with at least three more keys each."""
+    pages: list[Path] = []
+    left = [shown for key in keys if (shown := shown_in(key, section))]
+    while left:
+        best = max((path for path, _ in guides()), key=lambda page: sum(page in shown for shown in left))
+        rest = [shown for shown in left if best not in shown]
+        if pages and len(left) - len(rest) < 3:
+            break
+        pages, left = [*pages, best], rest
+    return pages
 
 
 def section_keys(section: type[schema.Section]) -> list[tuple[str, str, str]]:
@@ -247,7 +280,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     }
     sections["[performance]"] = [("road", "", "filter from the disturbance w to the road velocity under every wheel")]
     sections["[performance]"] += section_keys(WeightSection)
-    sections["[controllers.NAME]"] = section_keys(ControllerSection)
+    sections[CONTROLLER] = section_keys(ControllerSection)
     sections["minimise of a controller"] = section_keys(Minimise)
     bounds = [row for one in BOUNDS for row in section_keys(one)]
     sections["bounds of a controller"] = [*dict.fromkeys(bounds)]
@@ -271,7 +304,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
         ("white", "", "true if the residuals are white"),
         ("logs", "", "SHA-256 of each log"),
     ]
-    sections |= {f'[parts.NAME] with kind = "{name}"': section_keys(one) for name, one in element_kinds().items()}
+    sections |= {f'{PARTS}"{name}"': section_keys(one) for name, one in element_kinds().items()}
     sections["a campaign file"] = section_keys(CampaignFile)
     sections["[samples] of a campaign file"] = section_keys(SamplesSection)
     return sections
@@ -285,31 +318,70 @@ def default(parameter: Any) -> str:
 
 
 PARAMETERS = "[parameters] of a "
-COLUMNS = "key", "unit", "meaning", "used in"
+PARTS = "[parts.NAME] with kind = "
+ALIKE = {PARAMETERS: "[parameters] of several vehicle types", PARTS: "[parts.NAME] with one of several kinds"}  # their headings
+CONTROLLER = "[controllers.NAME]"
+COLUMNS = "key", "unit", "meaning"
 
 
 def vehicle_file() -> str:
     """Returns the page of all keys of a vehicle file, and of a campaign file."""
-    text = '# Keys of a vehicle file\n\nNumbers are in SI units, or in quotes with their unit, as in `"22 N/mm"`. '
-    text += "The last column links to a page that shows the key in use.\n"
+    text = '# Keys of a vehicle file\n\nNumbers are in SI units, or in quotes with their unit, as in `"22 N/mm"`.\n'
+    sections = key_sections()
     written = {
         section: [
-            (code(names), unit, cell(meaning) if "`" not in meaning else meaning, shown_in(names[0]))
+            (code(names), unit, cell(meaning) if "`" not in meaning else meaning, *used_in(section, names[0]))
             for names, unit, meaning in of_both_sides(keys)
         ]
-        for section, keys in key_sections().items()
+        for section, keys in sections.items()
     }
-    of_types = {section: rows for section, rows in written.items() if section.startswith(PARAMETERS)}
-    types: dict[tuple[str, ...], list[str]] = {}
-    for section, rows in of_types.items():
-        for row in rows:
-            types.setdefault(row, []).append(f"`{section.removeprefix(PARAMETERS)}`")
-    common = [(*row, ", ".join(some)) for row, some in types.items() if len(some) > 1]
-    text += f"\n## [parameters] of several vehicle types\n\n{table((*COLUMNS, 'types'), common)}"
     for section, rows in written.items():
-        own = [row for row in rows if section not in of_types or len(types[row]) == 1]
-        text += f"\n## {section}\n\n{table(COLUMNS, own)}"
+        if prefix := next((prefix for prefix in ALIKE if section.startswith(prefix)), ""):
+            alike = {name.removeprefix(prefix): rows for name, rows in written.items() if name.startswith(prefix)}
+            shared = of_several(alike)
+            if rows is next(iter(alike.values())):
+                some = see(prefix.partition("]")[0], [key for name in alike for key, *_ in sections[f"{prefix}{name}"]])
+                text += f"\n## {ALIKE[prefix]}\n\n{some}{table((*COLUMNS, 'types'), shared.values())}"
+            if rows := [row for row in rows if without_sides(row) not in shared]:
+                text += f"\n## {section}\n\n{table(COLUMNS, rows)}"
+        elif section == CONTROLLER:
+            text += f"\n## {section}\n\n{table((*COLUMNS, 'used in'), rows)}"
+        else:
+            words = "[controllers" if "controller" in section else (re.findall(r"^\[\w+", section) or [""])[0]
+            text += f"\n## {section}\n\n{see(words, (key for key, *_ in sections[section]))}{table(COLUMNS, rows)}"
     return text
+
+
+def of_several(alike: Mapping[str, list[tuple[str, ...]]]) -> dict[tuple[str, ...], tuple[str, ...]]:
+    """Returns the rows of keys that several types have with the same meaning, each with the keys of all types, and the types."""
+    types: dict[tuple[str, ...], dict[str, list[str]]] = {}
+    for name, rows in alike.items():
+        for row in rows:
+            types.setdefault(without_sides(row), {})[name] = row[0].split(", ")
+    return {
+        row: (", ".join(dict.fromkeys(one for names in of.values() for one in names)), *row[1:], code(of))
+        for row, of in types.items()
+        if len(of) > 1
+    }
+
+
+def without_sides(row: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns the row of a key without its side, as in `motion_ratio`, in place of one key or more with their sides."""
+    return re.sub(f"_({SIDES})(?=`)", "", row[0].partition(",")[0]), *row[1:]
+
+
+def used_in(section: str, key: str) -> tuple[str, ...]:
+    """Returns a link to the page that shows a key of a controller most often; no cell for other sections."""
+    if section != CONTROLLER:
+        return ()
+    counts = shown_in(key, "[controllers")
+    return (links([max(counts, key=lambda page: counts[page])] if counts else []),)
+
+
+def see(section: str, keys: Iterable[str]) -> str:
+    """Returns a line with links to the pages that explain a section; empty if there is no such page."""
+    pages = explained_in(section, keys)
+    return f"See {links(pages)}.\n\n" if pages else ""
 
 
 def of_both_sides(keys: Iterable[tuple[str, str, str]]) -> Iterator[tuple[list[str], str, str]]:
@@ -328,7 +400,7 @@ def together() -> str:
     rows = {**KINDS, **{part: name for part, name in DEMANDS.items() if part != "force"}}
     text = (
         f"# Compatible options\n\nThe first {len(KINDS)} rows are control laws and designs. A controller's section has one of "
-        'them. The other rows are keys that a section can have in addition. "yes" means that a row and a column can be combined. '
+        'them. The other rows are keys that a section can have in addition. "✓" means that a row and a column can be combined. '
         "If a section has several keys, each pair of them must be compatible. Roadproof refuses other combinations and prints "
         "the reason.\n\n"
         '- "Goals" are all keys of [goals](../how-to/goals.md).\n'
@@ -339,7 +411,7 @@ def together() -> str:
     )
     for columns in (KEYS, tuple(OPTIONS)):
         marks = [
-            (name, *("" if row == column else "-" if refusal(row, column) else "yes" for column in columns))
+            (name, *("" if row == column else "-" if refusal(row, column) else "✓" for column in columns))
             for row, name in rows.items()
         ]
         text += f"\n{table(('', *({**DEMANDS, **OPTIONS}[column] for column in columns)), marks)}"
@@ -359,9 +431,8 @@ def signal_tables() -> str:
     text += "The states of a controller are `controller_1`, `controller_2` and so on.\n"
     for name in kinds():
         listed, measured = [one.name for one in kind(name).signals], read_vehicle(name).linear_model.measurable
-        others = [one for one in listed if one not in measured]
-        text += f"\n## {name}\n\n{code(listed)}.\n\nControllers may measure all of them except {code(others)}.\n"
-        text += f"They may also measure {code(more)}.\n" if (more := [one for one in measured if one not in listed]) else ""
+        text += f"\n## {name}\n\nControllers may measure {code(measured)}.\n\n"
+        text += f"Other signals: {code(one for one in listed if one not in measured)}.\n"
     return f"{text}\n## A vehicle with a seat\n\nWith `[seat]` every vehicle also has {code(one.name for one in SEAT_SIGNALS)}.\n"
 
 
@@ -370,13 +441,15 @@ def code(names: Iterable[str]) -> str:
     return ", ".join(f"`{name}`" for name in names)
 
 
-def numbers(section: type) -> str:
-    """Returns the table of the numbers of a road or load, with their defaults."""
-    rows = [
+NUMBERS = "number", "default", "unit", "allowed", "meaning"
+
+
+def numbers(section: type) -> list[tuple[str, ...]]:
+    """Returns the numbers of a road or load, with their defaults."""
+    return [
         (f"`{one.name}`", "" if one.default in (None, MISSING, ()) else f"{one.default}", key.unit, allowed(key), key.meaning)
         for one, key in zip(fields(section), schema.keys(section).values(), strict=True)
     ]
-    return table(("number", "default", "unit", "allowed", "meaning"), rows)
 
 
 def allowed(key: schema.Key) -> str:
@@ -394,13 +467,26 @@ def first(owner: Any) -> str:
 def roads() -> str:
     """Returns the page of roads and loads."""
     text = (
-        "# Roads and loads\n\nWrite a road as in `--road pothole:depth=0.06:length=1.5`, and a load as in `--load brake:g=0.5`.\n"
+        "# Roads and loads\n\nWrite a road as in `--road pothole:depth=0.06:length=1.5`, and a load as in `--load brake:g=0.5`. "
+        "Add loads to a road with `+`: `--road 'bump + brake:g=0.5'`.\n"
     )
     settings = {Rig: RigSettings, Profile: TableSettings}
-    for what, table_of in (("Road", {"iso8608": Iso8608, **OBSTACLES, "rig": Rig, "from a file": Profile}), ("Load", LOADS)):
-        for name, owner in table_of.items():
-            text += f"\n## {what} {name}\n\n{first(owner)}\n\n{numbers(settings.get(owner, owner))}"
-    return text
+    for name, owner in {"iso8608": Iso8608, **OBSTACLES, "rig": Rig, "from a file": Profile}.items():
+        text += f"\n## Road {name}\n\n{first(owner)}\n\n{table(NUMBERS, numbers(settings.get(owner, owner)))}"
+    loads = {name: {(row[0], *row[2:]): row[1] for row in numbers(owner)} for name, owner in LOADS.items()}
+    shared = [row for row in next(iter(loads.values())) if all(row in rows for rows in loads.values())]
+    for name, owner in LOADS.items():
+        own = [row for row in numbers(owner) if (row[0], *row[2:]) not in shared]
+        text += f"\n## Load {name}\n\n{first(owner)}\n\n{table(NUMBERS, own)}"
+    common = [(row[0], _defaults({name: rows[row] for name, rows in loads.items()}), *row[1:]) for row in shared]
+    return f"{text}\n## Start and end of a load\n\n{table(NUMBERS, common)}"
+
+
+def _defaults(values: Mapping[str, str]) -> str:
+    """Returns the default of a number: the value of most loads, and the values of the other loads."""
+    ((usual, _),) = Counter(values.values()).most_common(1)
+    others = [f"{value} for `{name}`" for name, value in values.items() if value != usual]
+    return ", ".join([usual, *others])
 
 
 def metric_tables() -> str:
@@ -419,10 +505,11 @@ def metric_tables() -> str:
         )
         for one in metrics.metrics_of(read_vehicle("quarter_car"), True)
     ]
-    others = [f"`{one.name}`" for one in metrics.metrics_of(read_vehicle("full_car"), True)]
+    wheels = [re.sub(f"(front|rear)_({SIDES})", "WHEEL", one.name) for one in metrics.metrics_of(read_vehicle("full_car"), True)]
     return (
         f"# Metrics\n\n{about}\n\n```text\n{formulas}\n```\n\n## Metrics of a quarter-car\n\n"
-        f"{table(headings, rows)}\n## Metrics of a full car\n\n{', '.join(others)}.\n"
+        f"{table(headings, rows)}\n## Metrics of a full car\n\n`WHEEL` is a wheel, as in `front_left`.\n\n"
+        f"{code(dict.fromkeys(wheels))}.\n"
     )
 
 
@@ -574,9 +661,7 @@ def names(package: Any) -> str:
         if inspect.ismodule(value) or callable(value):
             lines += [f".. {directive}:: {value.__name__ if inspect.ismodule(value) else f'{package.__name__}.{name}'}", ""]
             if inspect.isclass(value) and issubclass(value, schema.Section):
-                lines += [f"   :param {key}: {meaning}{unit and f' [{unit}]'}" for key, unit, meaning in section_keys(value)] + [
-                    ""
-                ]
+                lines += ["   The arguments are the numbers in :doc:`roads`.", ""]
         else:
             lines += [f".. py:data:: {package.__name__}.{name}", "", f"   {value!r}", ""]
     return "\n".join([*lines, "```", ""])
@@ -621,10 +706,10 @@ def drawn() -> list[tuple[str, str, str, Path]]:
 
 def gallery() -> str:
     """Returns the page of pictures, with the command that draws each."""
-    text = "# Gallery of pictures\n\nThe command below each picture draws it. The tests run every command.\n"
+    text = "# Gallery of pictures\n\nThe command below each picture draws it.\n"
     for name, alt, line, path in drawn():
         page = path.relative_to(HERE).as_posix()
-        text += f"\n![{alt}](../.github/pictures/{name})\n\n{alt}. [How to read it]({page}).\n\n```text\n{line}\n```\n"
+        text += f"\n![{alt}](../.github/pictures/{name})\n\n[{alt}]({page}).\n\n```text\n{line}\n```\n"
     return text
 
 

@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 
 def add_vehicles(parser: Parser) -> None:
     """Adds the options `--controller`, `--vehicle` (which may be repeated) and `--without`."""
-    parser.add_controller_and_vehicle(
-        "default: all but published copies, such as I_printed", several="results of all vehicles are in one table"
-    )
+    parser.add_controller_and_vehicle("default: all but published copies, such as I_printed", several="one table of all vehicles")
     parser.add_argument(
         "--without",
         action="append",
