@@ -151,7 +151,6 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "viewers": "sim.command.viewer",
         "parts in MuJoCo": "sim.drive.part_steps",
         "scene of a log": "sim.recording.foxglove_scene",
-        "scene of a run": "sim.recording.scene",
         "dampers in linear analysis": "sim.linear.dampers",
         "response to given forces": "sim.linear.forced_response",
         "preview in continuous loops": "sim.linear.preview_response",

@@ -20,6 +20,7 @@ from models.vehicle.mjcf import mjcf_text
 from models.vehicle.vehicle import Vehicle
 from sim.drive.response import Response
 from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MEASURED_TOPIC, MUJOCO, SAMPLED, SIGNALS, RunLog, RunName
+from sim.recording.scene import scene_of
 from sim.runs.record import BALANCE, HALF_STEP, controller_record
 from sim.runs.report import describe_run, events, verdict
 from sim.runs.run import Run
@@ -116,11 +117,12 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
     elif controller.linear is True:
         certificate = controller.certificate
         norm = norm_if_implemented(vehicle, controller, run.prediction.timestep)
+        records = FEATURES.load_if_known("certificates as data")
         proved = {
             "designed": controller.designed,
             "stable": certificate.stable,
             "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
-            "certificate": FEATURES.load("certificates as data").to_record(certificate) | norm_record(norm),
+            "certificate": ({} if records is None else records.to_record(certificate)) | norm_record(norm),
         }
     claims = {
         **controller_record(controller),
@@ -186,7 +188,7 @@ def run_log(run: Run, name: RunName, measured: Response | None = None) -> RunLog
         metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
         events=events(run),
         summary=markdown(describe_run(run), 1),
-        scene=FEATURES.load("scene of a run").scene_of(run.prediction.input, run.physics, run.qpos),
+        scene=scene_of(run.prediction.input, run.physics, run.qpos),
         verdict=verdict(run).text,
         files=files,
         other_signals={name: one for name, one in acting.items() if one is not None},

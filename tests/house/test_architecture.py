@@ -123,7 +123,7 @@ CORE = {  # package -> its modules that are core
     "sim.drive.drivers": "linear registry",
     "sim.linear": "outputs prediction rounding sampled_response",
     "sim.observers": "recorder results",
-    "sim.recording": "files mcap_writer run_log run_records",
+    "sim.recording": "files mcap_writer run_log run_records scene",
     "sim.runs": "agreement record report result run",
     "sim.studies.ride.kinds": "standard",
     "sim.studies.ride": "metrics score_table scores weighting",
@@ -134,7 +134,7 @@ CORE = {  # package -> its modules that are core
     "synth.plant": "double_double generalized loop numerics state_space units",
     "synth.vehicle": "design_problem designer",
 }
-MOST_CORE = 14_140  # lines of code of the core, without docstrings, comments and blank lines
+MOST_CORE = 14_410  # lines of code of the core, without docstrings, comments and blank lines
 
 # Who may import what is heavy, or replaceable.
 OWNERS = {

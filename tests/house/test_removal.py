@@ -115,7 +115,7 @@ def test_only_the_table_names_a_module(sort):
 
 
 def test_the_core_drives_without_any_extension(tmp_path):
-    """The files of the core alone design, drive and compare the paper's controller of three cars, with their own rows alone."""
+    """The files of the core alone design, drive, compare and log the paper's controller of three cars, with their own rows."""
     packages = {path.relative_to(ROOT) for path in MODULES.values() if path.name == "__init__.py"}
     data = {path.relative_to(ROOT) for suffix in ("toml", "xml") for path in (ROOT / "models").glob(f"*.{suffix}")}
     files = {MODULES[name].relative_to(ROOT) for name in core_modules()} | packages
@@ -129,12 +129,11 @@ def test_the_core_drives_without_any_extension(tmp_path):
             text = without_row(text, sort, name)
     (tmp_path / TABLE).write_text(text, encoding="utf-8")
     code = CHECK + "from sim.bump import main\nfor car in ('quarter_car', 'half_car', 'full_car'):\n"
-    code += (
-        "    assert not main(['--controller', 'II', '--vehicle', car, '--duration', '0.2', '--timestep', '4e-3', '--no-logs'])\n"
-    )
+    code += "    assert not main(['--controller', 'II', '--vehicle', car, '--duration', '0.2', '--timestep', '4e-3'])\n"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     assert done.stdout.count("MuJoCo agrees") == 3
+    assert {path.name.split("-")[1] for path in (tmp_path / "logs").glob("*.mcap")} == {"quarter_car", "half_car", "full_car"}
 
 
 WITHOUT_METRIC = """
