@@ -168,4 +168,4 @@ def preview_of(record: Mapping[str, Any]) -> RoadPreview | None:
     try:
         return RoadPreview(*(found[name] for name in ("seconds", *PREVIEW_MATRICES)))
     except KeyError as error:
-        raise InputError(f"the saved preview law has no key {error}; design and save this law again") from error
+        raise InputError(f"the recorded preview has no key {error}; repeat the simulation or the campaign") from error

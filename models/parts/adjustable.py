@@ -143,12 +143,14 @@ class Adjustable(SettablePart):
         turning = {place.force for place in vehicle.kind.suspensions if vehicle.kind.table_of(place) is not None}
         for one in vehicle.parts.adjustable:
             if one.force in measured and (one.force in turning or one.damper.pair is not None or not one.damper.replaces):
-                what = "whose motion ratio changes with travel" if one.force in turning else "with curves c_min and c_max"
-                what = what if one.damper.replaces else "of [parts]"
+                what, instead = "with curves c_min and c_max", ", or give numbers for c_min and c_max"
+                if one.force in turning:
+                    what, instead = "whose motion ratio changes with travel", ", or give a constant motion ratio"
+                if not one.damper.replaces:
+                    what, instead = "of [parts]", ""
                 raise InputError(
                     f"[controllers.{name}] measures {one.force}, but no sensor measures the force of a damper {what}; "
-                    "measure suspension_velocity instead, or give numbers instead of curves for the damper and the "
-                    "motion ratio"
+                    f"measure suspension_velocity instead{instead}"
                 )
 
     @property

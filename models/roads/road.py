@@ -82,8 +82,8 @@ class Road(ABC):
     @property
     def warnings(self) -> list[str]:
         """Warnings about numbers that probably have a wrong unit: the speed, or the height of an obstacle."""
-        doubts = FEATURES.load_if_known("doubts about numbers")
-        return doubts.road_remarks(self) if doubts else []
+        about_numbers = FEATURES.load_if_known("doubts about numbers")
+        return about_numbers.road_remarks(self) if about_numbers else []
 
     @property
     def loaded(self) -> bool:

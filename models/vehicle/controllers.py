@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 OTHERWISE = " for force actuators, or omit actuators to use those of [actuators]"
 RESERVED_NAMES = ("passive", "state")  # every vehicle has these two controllers: zero force, and full state feedback
-ALONE = {"gain", "measured", "certificate", "actuators"}  # keys of a section that has no options
+KEYS_WITHOUT_OPTIONS = {"gain", "measured", "certificate", "actuators"}  # a section of these keys has no options to combine
 PUSHING_ACTUATORS = "force"  # value of the key `actuators` in a controller's section
 
 
@@ -343,7 +343,7 @@ def _parts_together(where: str, given: Any, inputs: Sequence[str]) -> Mapping[st
     if not isinstance(given, Mapping):
         return {}
     measured = given.get("measured")
-    if {*given} <= ALONE and not (isinstance(measured, list) and any(name in inputs for name in measured)):
+    if {*given} <= KEYS_WITHOUT_OPTIONS and not (isinstance(measured, list) and any(name in inputs for name in measured)):
         return {"gain": "gain"} if "gain" in given else {"steps": "the default two-step design"}
     combinations = FEATURES.load("combinations of options")
     parts = combinations.section_parts(given, inputs)

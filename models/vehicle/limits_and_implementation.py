@@ -347,8 +347,8 @@ class ImplementationSection(Implementation):
         period = in_unit(period, "s", "sample_period")
         if not is_finite(period) or not period > 0:
             raise InputError(
-                f"delay = {short_repr(delay)} is a time, which cannot be converted to samples without a sample period; give a "
-                'sample period, as in sample_period = "5 ms", or give delay as a number of samples'
+                f"delay = {short_repr(delay)} is a time, which cannot be converted to samples without a sample period above 0; "
+                'give a sample period, as in sample_period = "5 ms", or give delay as a number of samples'
             )
         return {**given, "delay": round(seconds / period, 9)}
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from models.common.checks import is_finite
 from models.common.errors import InputError, list_names
 from models.common.extensions import FEATURES
-from models.common.schema import SI
+from models.common.schema import SI, read
 
 if TYPE_CHECKING:
     from models.laws.filter import Filter
@@ -71,12 +71,12 @@ def read_performance(section: Mapping[str, Any], outputs: Sequence[str]) -> dict
     for name, given in section.items():
         where = f"[performance] {name}"
         if name == ROAD:
-            road_filter = FEATURES.load("weights with filters").read_filter(where, given)
+            road_filter = read(where, FEATURES.load("weights with filters").FilterSection, given).shape
             continue
         if not isinstance(given, Mapping):
             weights[name] = WEIGHT.number(where, given)
             continue
-        one = FEATURES.load("weights with filters").read_weight(where, given, outputs)
+        one = read(where, FEATURES.load("weights with filters").WeightSection, given, outputs=outputs)
         if one.sum is None:
             weights[name] = one.weight
             filters |= {name: one.shape} if one.shape is not None and one.weight else {}

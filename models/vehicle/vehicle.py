@@ -607,9 +607,8 @@ class Vehicle(ShownResult):
         """Warnings about characteristics, and about numbers that probably have a wrong unit or are swapped."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
-        numbers, doubts = FEATURES.load_if_known("doubts about numbers"), list[str]()
-        if numbers:
-            doubts += numbers.vehicle_remarks(self)
+        about_numbers = FEATURES.load_if_known("doubts about numbers")
+        doubts = about_numbers.vehicle_remarks(self) if about_numbers else []
         if curves or self.dampers or self.limits.stopped:
             doubts += FEATURES.load("doubts about parts").suspension_doubts(self)
         if curves:

@@ -3,13 +3,13 @@
 Not all controllers and options of a vehicle file can be combined with a weight that has an integrator.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
 from models.common.errors import InputError, list_names, short_repr
-from models.common.schema import HERE, ReadBy, read
+from models.common.schema import HERE, ReadBy
 from models.kinds.kind import is_number
 from models.laws.filter import Filter, FilterSection
 from models.vehicle.controllers import ControllerEntry
@@ -50,16 +50,6 @@ class WeightSection(FilterSection):
         """The filter of the row; None for a sum with a constant weight."""
         unshaped = self.filter is self.numerator is self.denominator is None
         return None if unshaped and self.sum is not None else super().shape
-
-
-def read_weight(where: str, given: Any, outputs: Sequence[str]) -> WeightSection:
-    """Returns the section of a signal or of a sum of signals in `[performance]`; `outputs` are the names of the signals."""
-    return read(where, WeightSection, given, outputs=outputs)
-
-
-def read_filter(where: str, given: Any) -> Filter:
-    """Returns the filter that a section describes."""
-    return read(where, FilterSection, given).shape
 
 
 def check_integrals(

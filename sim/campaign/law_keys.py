@@ -24,9 +24,11 @@ def law_values(vehicle: Vehicle, controller: str) -> dict[str, float | None]:
     """
     entry = vehicle.controllers.get(controller)
     if entry is None or not entry.source.values:
+        why = "it is a design, a law in Python or a law without numbers"
+        why = f"the vehicle file contains no [controllers.{controller}]" if entry is None else why
+        more = "" if entry is None else ", or first write the designed gain with synth --save"
         raise InputError(
-            f"controller {controller!r} has no numbers to sample, because it is a design, a law in Python or a law "
-            "without numbers; sample a different controller, or first write the designed gain with synth --save"
+            f"controller {controller!r} has no numbers to sample, because {why}; sample a different controller{more}"
         )
     return entry.source.values
 

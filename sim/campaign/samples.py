@@ -200,10 +200,9 @@ def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, t
         raise InputError(f"{where} = {short_repr(entry)} is not a distribution; {give}")
     a, b = (SI("" if relative else unit, low=-1e12, high=1e12).number(f"{where}: {shapes[0]}", value) for value in values)
     if (a >= b) if shapes[0] == "uniform" else (b <= 0):
-        raise InputError(
-            f"{where}: {shapes[0]} = [{a:g}, {b:g}] is an empty range; give a low value below the high value, or a "
-            "standard deviation above 0"
-        )
+        empty = "is an empty range; give a low value below the high value"
+        fault = empty if shapes[0] == "uniform" else "has no positive deviation; give a standard deviation above 0"
+        raise InputError(f"{where}: {shapes[0]} = [{a:g}, {b:g}] {fault}")
     from scipy import stats  # imported here because the import takes half a second
 
     if shapes[0] == "uniform":

@@ -1,4 +1,4 @@
-"""Functions that commands for the simulation of controllers share: choice of controllers, warnings, viewer and logs."""
+"""Functions that commands for the simulation of controllers share: choice of controllers, warnings and logs."""
 
 import argparse
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -54,8 +54,9 @@ def drive(
         FEATURES.load("step response").check_band(road, options.band, "band" in options.given)
         for remark in gaps(road, options.duration):
             complain(remark)
-    if options.open or options.serve:
-        FEATURES.load("viewers").check_view(options)
+    viewers = FEATURES.load("viewers") if options.open or options.serve else None
+    if viewers is not None:
+        viewers.check_view(options)
     log = None
     if options.beside_column or any(name.startswith("beside") for name in options.given):
         log = FEATURES.load("comparison with a measured log").requested_log(options, vehicles.values())
@@ -133,8 +134,8 @@ def drive(
         if unstable and not options.allow_unstable:
             lines += [f"exit code 1, because a closed loop is unstable ({', '.join(unstable)}); --allow-unstable permits this"]
         say(lines)
-    for one in logs if options.open or options.serve else ():
-        FEATURES.load("viewers").view(options, one)
+    for one in logs if viewers is not None else ():
+        viewers.view(options, one)
     done = all({*each.names} == {run.controller.name for run in each.implemented_runs} for each in driven)
     return 0 if done and all(run.passed for run in runs) and (options.allow_unstable or not unstable) else 1
 

@@ -28,7 +28,7 @@ ENDING_TIME = 3.0  # s, longest time to wait until the process ends after a sign
 
 
 def check_view(options: argparse.Namespace) -> None:
-    """Checks before the simulation that `--open` or `--serve`, which the options contain, will be able to show the recording.
+    """Checks before the simulation that `--open` or `--serve`, one of which is given, will be able to show the recording.
 
     Raises:
         InputError: `--no-logs` disables the recording, or no display exists for `--open`.

@@ -112,7 +112,9 @@ class Response(ShownResult):
         Raises:
             InputError: there is no run with this index.
         """
-        if self.values.ndim < 3 or not -len(self.values) <= index < len(self.values):
+        if self.values.ndim < 3:
+            raise InputError(f"values of the shape {self.values.shape} belong to a single run; use this response as it is")
+        if not -len(self.values) <= index < len(self.values):
             raise InputError(
                 f"index = {index} selects no run, because the values have the shape {self.values.shape}; give an index that "
                 "exists on the first axis, which counts the runs"

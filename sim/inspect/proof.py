@@ -161,7 +161,7 @@ def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: Recor
     """
     certificate, record = controller.certificate, recorded.claim("certificate")
     norm = norm_if_implemented(vehicle, controller, h)
-    wrong = [*false_claims(record, certificate), *false_norm(record, vehicle, lambda: norm)]
+    wrong = [*false_claims(record or {}, certificate), *false_norm(record, vehicle, lambda: norm)]
     judged = certificate.failures if controller.designed or certificate.bound is not None else ()
     wrong += failures_of_sampled_loop(vehicle, certificate, judged, norm)
     peak, there = recorded.claim("peak_frequency"), math.isfinite(certificate.norm.peak_frequency)
@@ -174,6 +174,9 @@ def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: Recor
     for text in wrong:
         yield Finding("certificate", FAILS, text)
     if wrong:
+        return
+    if record is None:
+        yield Finding("certificate", MISSING, "the log does not contain the certificate of the controller")
         return
     sampled = f", sampled norm {NORM.digits(norm.value)}" if norm is not None and norm.stable else ""
     if not certificate.stable:

@@ -15,7 +15,7 @@ from scipy import linalg
 from models.common.arrays import Array, recursion
 from models.laws.preview import RoadPreview
 from models.roads.road import SAME_TIME, RoadInput, delays, jumps_under_wheels, under_wheels
-from sim.linear.sampled_response import NODES, cut_steps, jump_forcing, over_pieces
+from sim.linear.sampled_response import NODES, cut_steps, integrals_over_pieces, jump_forcing
 from synth.plant.state_space import StateSpace
 
 WHOLE = 1e-9  # a preview time counts as an integer number of steps if their relative difference is below this
@@ -82,15 +82,15 @@ def _preview_states(preview: RoadPreview, system: StateSpace, road_input: RoadIn
         end += weight * known[count - 1 : count - 1 + whole] @ linalg.expm(preview.A * s).T
     cuts, beyond = cut_steps(np.concatenate([kinks, kinks - T]), time, h), cut_steps(kinks, after, h)
     steps = [k for k, _ in cuts]
-    drive[steps] = over_pieces(A, lambda t: change(t) @ P.T, cuts, h)
-    ahead[steps] = over_pieces(preview.A, change, cuts, h, backward=True)
-    end[[k for k, _ in beyond]] = over_pieces(preview.A, met, beyond, h, backward=True)
+    drive[steps] = integrals_over_pieces(A, lambda t: change(t) @ P.T, cuts, h)
+    ahead[steps] = integrals_over_pieces(preview.A, change, cuts, h, backward=True)
+    end[[k for k, _ in beyond]] = integrals_over_pieces(preview.A, met, beyond, h, backward=True)
     Phi = linalg.expm(preview.A * h)
     last = _recursion_from(np.zeros(len(preview.A)), Phi, end[::-1])[-1]
     if not in_steps:  # the preview ends inside a step, not at its end
         left, right = time[-1] + whole * h, time[-1] + T
         edges = [left, *np.unique(kinks[(kinks > left) & (kinks < right)]), right]
-        (rest,) = over_pieces(preview.A, met, [(0, edges)], h, backward=True)
+        (rest,) = integrals_over_pieces(preview.A, met, [(0, edges)], h, backward=True)
         last = last + linalg.expm(preview.A * (whole * h)) @ rest
     ahead = _recursion_from(last, Phi, ahead[-2::-1])[::-1]
     if road.jumps:

@@ -200,11 +200,11 @@ def _forcing_integral(A: Array, push: Callable[[Array], Array], kinks: Array, ti
     """
     h = float(time[1] - time[0])
     forcing, cuts = _convolution(A, push, time, h), cut_steps(kinks, time, h)
-    forcing[[k for k, _ in cuts]] = over_pieces(A, push, cuts, h)
+    forcing[[k for k, _ in cuts]] = integrals_over_pieces(A, push, cuts, h)
     return forcing
 
 
-def over_pieces(
+def integrals_over_pieces(
     A: Array, push: Callable[[Array], Array], cuts: Sequence[tuple[int, list[float]]], h: float, backward: bool = False
 ) -> Array:
     """Returns the integral of exp(A (end - t)) push(t) over each of the K divided steps, shape (K, n).

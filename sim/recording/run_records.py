@@ -122,7 +122,7 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
             "designed": controller.designed,
             "stable": certificate.stable,
             "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
-            "certificate": ({} if records is None else records.to_record(certificate)) | norm_record(norm),
+            "certificate": None if records is None else records.to_record(certificate) | norm_record(norm),
         }
     claims = {
         **controller_record(controller),

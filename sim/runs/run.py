@@ -109,8 +109,8 @@ def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
                 f"[parts.{name}] to slow this state down"
             )
         units = ", and check that masses are in kg, stiffness in N/m and damping in N s/m"
-        doubts = FEATURES.load_if_known("doubts about numbers")
-        if doubts and (improbable := doubts.vehicle_remarks(vehicle)):
+        about_numbers = FEATURES.load_if_known("doubts about numbers")
+        if about_numbers and (improbable := about_numbers.vehicle_remarks(vehicle)):
             raise InputError(f"timestep = {timestep} s is too large: {above}; {improbable[0]}")
         instead = "give 0.001, for example" if largest > 1e-3 else f"give a smaller timestep{units if largest < STIFF else ''}"
         raise InputError(f"timestep = {timestep} s is too large: {above}; {instead}")

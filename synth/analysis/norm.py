@@ -240,11 +240,11 @@ def by_both_routes(gain: Gain) -> Norm:
     ends, grid_error = ends[np.isfinite(ends)], gain.grid_error
     rounding = gain.rounding(ends)
     if rounding > SEEN * max(sweep, level):  # this error bound is often far too large, so the rounding error is measured
-        closely = FEATURES.load("norms with twice the precision")
-        rounding, grid_error = closely.rounding_error(gain, ends), partial(closely.missed_peak, gain)
+        precise = FEATURES.load("norms with twice the precision")
+        rounding, grid_error = precise.rounding_error(gain, ends), partial(precise.missed_peak, gain)
         if rounding > SEEN * max(sweep, level):
-            (sweep, at_sweep), (level, at_level) = (closely.refined_peak(gain, at) for at in (at_sweep, at_level))
-            rounding = max(closely.error_of_closely(gain, at) for at in (at_sweep, at_level))
+            (sweep, at_sweep), (level, at_level) = (precise.refined_peak(gain, at) for at in (at_sweep, at_level))
+            rounding = max(precise.error_of_precise_gain(gain, at) for at in (at_sweep, at_level))
     value, at = (sweep, at_sweep) if sweep >= level else (level, at_level)
     return Norm(value, at, level, sweep, rounding / value + grid_error(at) + gain.last if value else 0.0)
 

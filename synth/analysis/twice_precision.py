@@ -12,7 +12,7 @@ CLOSE_ZOOMS = 8  # number of tenfold refinements of a frequency interval; the ga
 WITHIN = 1e-4  # frequency step with which a parabola is fitted to a peak, relative to the damping of the nearest pole
 
 
-def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
+def _transfer_matrix(system: Plant, omega: Array) -> tuple[Array, Array]:
     """Returns the frequency response Dw + C (j omega - A)^-1 Bw (19), computed with twice the precision, and an estimate of its
     error.
 
@@ -32,9 +32,9 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
     return T + system.Dw, moved
 
 
-def gains_closely(gain: Gain, omega: Array) -> tuple[Array, Array]:
+def precise_gains(gain: Gain, omega: Array) -> tuple[Array, Array]:
     """Returns the gains of `Gain.at`, computed with twice the precision, and bounds on their errors, both of shape (F,)."""
-    T, missing = transfer_matrix_closely(gain.system, omega)
+    T, missing = _transfer_matrix(gain.system, omega)
     return largest_singular_values(T), missing
 
 
@@ -42,13 +42,13 @@ def rounding_error(gain: Gain, omega: Array) -> float:
     """Returns the largest rounding error of the gains that `Gain.at` computes at some frequencies [rad/s], measured with twice
     the precision.
     """
-    gains, missing = gains_closely(gain, omega)
+    gains, missing = precise_gains(gain, omega)
     return float((np.abs(gain.at(omega) - gains) + missing).max())
 
 
-def error_of_closely(gain: Gain, at: float) -> float:
-    """Returns the bound on the error that `gains_closely` has at the frequency `at` [rad/s]; 0 at infinite frequency."""
-    return float(gains_closely(gain, np.array([at]))[1][0]) if np.isfinite(at) else 0.0
+def error_of_precise_gain(gain: Gain, at: float) -> float:
+    """Returns the bound on the error that `precise_gains` has at the frequency `at` [rad/s]; 0 at infinite frequency."""
+    return float(precise_gains(gain, np.array([at]))[1][0]) if np.isfinite(at) else 0.0
 
 
 def missed_peak(gain: Gain, at: float) -> float:
@@ -64,7 +64,7 @@ def missed_peak(gain: Gain, at: float) -> float:
     if at > 0 and at in (gain.low, gain.high):
         return gain.grid_error(at)
     step = max(float(np.spacing(at)), WITHIN * float(gain.width(np.array([at]))[0]))
-    (below, here, above), _ = gains_closely(gain, np.array([at - step, at, at + step]))
+    (below, here, above), _ = precise_gains(gain, np.array([at - step, at, at + step]))
     left, right = (here / below) ** 2, (here / above) ** 2
     bent, slope = left + right - 2, (right - left) / 2
     lowest = min(1 - slope**2 / (2 * bent) if bent > 0 else 1.0, left, right)
@@ -77,10 +77,10 @@ def refined_peak(gain: Gain, at: float) -> tuple[float, float]:
     """
     omega = np.concatenate([[gain.low], np.abs(gain.poles), np.abs(np.imag(gain.poles)), [at] if np.isfinite(at) else []])
     omega = gain.within(omega)
-    gains, _ = gains_closely(gain, omega)
+    gains, _ = precise_gains(gain, omega)
     high = np.unique(omega[gains > 0.9 * gains.max()])
-    there = gain.climbed(lambda near: gains_closely(gain, near)[0], high, gain.width(high), CLOSE_ZOOMS)
-    best, there = float(gains_closely(gain, there)[0][0]), float(there[0])
+    there = gain.climbed(lambda near: precise_gains(gain, near)[0], high, gain.width(high), CLOSE_ZOOMS)
+    best, there = float(precise_gains(gain, there)[0][0]), float(there[0])
     return gain.or_at_infinity(best, there)
 
 
@@ -92,7 +92,7 @@ def gain_at(system: Plant, omega: float) -> float:
         discrete = FEATURES.load("discrete plants")
         at = discrete.mapped_frequency(omega, system.dt) * system.dt / 2
         return float(np.linalg.norm(discrete.response_closely(system, at)[0], 2))
-    return float(gains_closely(Gain(system), np.array([omega]))[0][0])
+    return float(precise_gains(Gain(system), np.array([omega]))[0][0])
 
 
 def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:

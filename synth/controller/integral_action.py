@@ -23,9 +23,9 @@ from models.laws.linear import LinearLaw
 from synth.analysis.stability import MARGINAL, beside_weights, is_stable
 from synth.controller.controller import Controller
 from synth.controller.problem import ClosedLoop, Problem
-from synth.controller.report import INTEGRATOR_POLE
 from synth.plant.generalized import Feedback, Plant
 
+INTEGRATOR_POLE = 1e-9  # a pole belongs to an integrator if its relative distance from 0 is smaller than this
 RETURNS = 1e-9  # a transfer function counts as zero at 0 rad/s if its value is below this multiple of the terms that form it
 IDLE_INTEGRAL = (
     "the integral of this law leaves a pole at 0 in the loop, so there is no finite norm: no constant force changes the "
@@ -110,7 +110,7 @@ def settled_integrals(loop: Plant, plant: Plant, lacking: Sequence[int]) -> Arra
     return rows if np.all(left <= RETURNS * size) else None
 
 
-def judged_with_integrals(problem: Problem, law: LinearLaw) -> ClosedLoop:
+def loop_with_integrals(problem: Problem, law: LinearLaw) -> ClosedLoop:
     """Returns the closed loop of a law in continuous time for a control problem whose z contains integrals.
 
     Integrals that the law lacks are left out of the loop if they return to zero without the law.
@@ -134,16 +134,10 @@ def judged_with_integrals(problem: Problem, law: LinearLaw) -> ClosedLoop:
     return ClosedLoop(short, Feedback(G.K, G.Cy[:, stay]), base, tuple(problem.states[i] for i in own), mine.states)
 
 
-def has_idle_integral(controller: Controller) -> bool:
-    """Returns True if the law has a pole at 0 that remains a pole of the closed loop."""
+def notes_on_integral(controller: Controller) -> list[str]:
+    """Returns a note if an integral of the law leaves a pole at 0 in the loop."""
     law, where = controller.law, controller.certificate.stability
     at_rest = 0.0 if law.sample_period is None else 1.0
     held = np.any(np.abs(np.linalg.eigvals(law.A) - at_rest) <= INTEGRATOR_POLE * (1 + np.abs(law.A).max(initial=0.0)))
-    return bool(
-        held and where.verdict == MARGINAL and np.any(where.rates[where.on_axis] <= INTEGRATOR_POLE * (1 + where.rates.max()))
-    )
-
-
-def notes_on_integral(controller: Controller) -> list[str]:
-    """Returns a note if an integral of the law leaves a pole at 0 in the loop."""
-    return [IDLE_INTEGRAL] if has_idle_integral(controller) else []
+    idle = held and where.verdict == MARGINAL and np.any(where.rates[where.on_axis] <= INTEGRATOR_POLE * (1 + where.rates.max()))
+    return [IDLE_INTEGRAL] if idle else []

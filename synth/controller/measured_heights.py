@@ -28,7 +28,7 @@ from synth.plant.generalized import Plant
 STUDY = "for study only: no sensor on a car measures heights over the datum of a flat road"
 
 
-def judged_over_datum(problem: Problem, judged: ClosedLoop) -> ClosedLoop:
+def loop_over_datum(problem: Problem, judged: ClosedLoop) -> ClosedLoop:
     """Returns the closed loop of a law that measures heights above a datum. An unstable loop is returned unchanged."""
     assert problem.of_heights is not None, "a height is measured"
     assert problem.rates is not None, "they come with the heights"
@@ -57,7 +57,7 @@ def judged_over_datum(problem: Problem, judged: ClosedLoop) -> ClosedLoop:
     return replace(judged, with_road_heights=lasting, unbounded_outputs=tuple(shows))
 
 
-def heights_read(
+def effects_of_heights(
     vehicle: Vehicle, model: LinearModel, rows: Sequence[int], plant: Plant
 ) -> tuple[Array, Array, Array | None, tuple[Array, Array]]:
     """Returns the contributions of measured heights to Cy and Dyw, and the attributes `of_heights` and `rates` of a `Problem`.

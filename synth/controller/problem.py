@@ -146,8 +146,8 @@ class Problem:
         if not self.integrals:
             larger, G = self.plant.with_law(law)
             judged = ClosedLoop(larger, G, self.plant, self.states, law.states)
-            return judged if self.of_heights is None else FEATURES.load("measured heights").judged_over_datum(self, judged)
-        return FEATURES.load("integral action").judged_with_integrals(self, law)
+            return judged if self.of_heights is None else FEATURES.load("measured heights").loop_over_datum(self, judged)
+        return FEATURES.load("integral action").loop_with_integrals(self, law)
 
 
 def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignConditions, plant: Plant | None = None) -> Problem:
@@ -184,7 +184,7 @@ def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignCondition
     S = np.array([[terms.get(name, 0.0) for name in measured] for terms in integrated.values()]) if integrated else None
     of_heights = rates = None
     if np.any(model.Cr[rows]):
-        more, by_twist, of_heights, rates = FEATURES.load("measured heights").heights_read(vehicle, model, rows, plant)
+        more, by_twist, of_heights, rates = FEATURES.load("measured heights").effects_of_heights(vehicle, model, rows, plant)
         Cy, of_loads = Cy + more, of_loads + by_twist
     states = plant_states(vehicle, hardware.bandwidth)
     mine, weighed = (tuple(states.index(name) for name in some) for some in (integrated, vehicle.integrals))

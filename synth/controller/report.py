@@ -16,7 +16,6 @@ from synth.analysis.specification import SAMPLED_NORM, SampledNorm
 from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins
 
-INTEGRATOR_POLE = 1e-9  # a pole belongs to an integrator if its relative distance from 0 is smaller than this
 BOUND = Field[Certificate]("bound", lambda one: one.bound, NORM_DIGITS, key="bound")
 NORM = Field[Certificate]("norm", lambda one: one.norm.value, NORM_DIGITS, key="norm")
 PEAK = Field[Certificate]("peak", lambda one: one.norm.peak_frequency, ".5g", 1 / (2 * math.pi), "peak_frequency", "Hz")

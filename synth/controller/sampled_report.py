@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from models import USUAL_TIMESTEP
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.common.printed import NORM_DIGITS
@@ -16,8 +15,9 @@ from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.specification import ABOVE, SAMPLED_NORM, SampledNorm
 from synth.controller.controller import Controller
+from synth.controller.integral_action import INTEGRATOR_POLE
 from synth.controller.problem import road_twist_inputs
-from synth.controller.report import INTEGRATOR_POLE, norm_if_implemented
+from synth.controller.report import norm_if_implemented
 
 # allowed relative difference between the norms that two computers compute; a multiple of the distance between the levels that
 # enclose the norm
@@ -38,7 +38,7 @@ PROVED_NORM = Record[SampledNorm](
 )
 
 
-def norm_of_sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
+def norm_of_sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> SampledNorm | None:
     """Returns the norm of a sampled-data loop; None for a stable loop without a norm. See `norm_if_implemented`."""
     implemented = FEATURES.load("norm as implemented")
     if not has_sampled_norm(vehicle, controller) and FEATURES.load("sampled norm").stable(
@@ -128,7 +128,8 @@ def false_norm(
         return ()
     claimed = f"the certificate claims that the sampled norm is {NORM_AS_IMPLEMENTED.digits(said)}"
     if norm is None:
-        return (f"{claimed}, but [implementation] has neither sample_period nor delay",)
+        without = "[implementation] has neither sample_period nor delay"
+        return (f"{claimed}, but {without if vehicle.implementation.undelayed else 'this loop has no finite norm'}",)
     off = f" ({APART.digits(abs(norm.value / said - 1))} off)" if norm.stable else ""
     return (f"{claimed}, but it is {NORM_AS_IMPLEMENTED.cell(norm)}{off} with {built_words(vehicle)}",)
 

@@ -7,7 +7,7 @@ from synth.lmi.barrier import Derivatives, boundary, newton
 
 FASTER = 8.0  # factor by which the weight of the last unknown grows from one point of the path to the next
 CENTRES = 24  # largest number of points that are computed on the path
-CENTRE_DECREMENT = 0.1  # a point counts as a point of the central path if its Newton decrement is below this
+LOOSE_DECREMENT = 0.1  # a point counts as a point of the central path if its Newton decrement is below this
 WITHIN = 0.95  # largest step along the tangent of the path, as a fraction of the distance to the boundary
 SHORTEST = 1e-10  # shortest step along the tangent, as a fraction of the full step
 SURE = 1.1  # safety factor on the distance between the last unknown, at a point of the path, and its smallest possible value
@@ -39,7 +39,7 @@ def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close:
         raise np.linalg.LinAlgError("rounding leaves no feasible point")
     for _ in range(CENTRES):
         c[-1] = weight
-        p, _, here = newton(barrier, p, c, CENTRE_DECREMENT, lambda p: p[-1] < enough, here)
+        p, _, here = newton(barrier, p, c, LOOSE_DECREMENT, lambda p: p[-1] < enough, here)
         gap = SURE * rows / weight
         if p[-1] < enough or (gap <= close and p[-1] - gap > enough):
             break

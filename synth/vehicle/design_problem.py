@@ -117,7 +117,7 @@ def controller_of(
     if problem.structure is not None and result.criterion != MU:
         remarks = *([result.remark] if remarks else []), f"designed by descent on the norm from {result.origin}"
     if result.criterion == H2_NORM:
-        remarks = FEATURES.load("mean square designs").of_mean_square(problem, result), *remarks
-    preview = None if result.preview is None else FEATURES.load("mean square designs").on_roads(vehicle, result.preview)
+        remarks = FEATURES.load("mean square designs").mean_square_text(problem, result), *remarks
+    preview = None if result.preview is None else FEATURES.load("mean square designs").preview_of_roads(vehicle, result.preview)
     law = replace(law, anti_windup=entry.request.anti_windup)
     return Controller.of(entry, law, result.certificate, remarks=remarks, preview=preview)

@@ -325,7 +325,8 @@ class Designer:
         """Returns a cautious (low) estimate of the relative norm decrease that `refine` would achieve; 0 if the decrease is
         negligible.
         """
-        return FEATURES.load("refinement").worth(self, controller)
+        refinement = FEATURES.load_if_known("refinement")
+        return 0.0 if refinement is None else refinement.worth(self, controller)
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
         """Recomputes the certificate of a control law in the vehicle file from the proofs in this file.

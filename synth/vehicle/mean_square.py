@@ -21,7 +21,7 @@ def check_preview(entry: ControllerEntry, problem: DesignProblem) -> None:
     except DesignError:
         raise InputError(
             f"controller {entry.name!r}: a design with preview must measure all states, but no sensor measures the states "
-            "of filters in [performance]; give constant weights or integrals, or a different design"
+            "of filters in [performance]; give constant weights, integrals of deflections, or a different design"
         ) from None
 
 
@@ -45,7 +45,7 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, problem: Problem) -> l
     return levels if any(levels) else None
 
 
-def of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
+def mean_square_text(problem: DesignProblem, result: DesignResult) -> str:
     """Describes, as text, the H2 norm that a design minimises."""
 
     at_once = AT_ONCE if np.any(problem.plant.Dw) else ""
@@ -62,7 +62,7 @@ def of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
     return f"minimises the mean square of z: the H2 norm is {digits(result.h2_norm)}, {of_white_noise}{noise}{at_once}"
 
 
-def on_roads(vehicle: Vehicle, ahead: RoadPreview) -> RoadPreview:
+def preview_of_roads(vehicle: Vehicle, ahead: RoadPreview) -> RoadPreview:
     """Converts a preview of the plant's disturbances to a preview of the road under each wheel.
 
     In addition to the road velocities, the road's warp is a disturbance of the plant (`generalized_plant`); the warp is also

@@ -310,6 +310,7 @@ CHANGES = {
     "the result": (attached("result.json", b'"peak": {"mujoco": 0.', b'"peak": {"mujoco": 1.'), ("result", "FAILS")),
     "an empty result": (lambda p: p.with_attachment("result.json", lambda data: b"{}"), ("result", "FAILS")),
     "no vehicle": (lambda p: replace(p, attachments=p.attachments[1:]), ("vehicle", "missing")),
+    "no certificate": (lambda p: p.with_claim("run/I", "certificate", lambda _: "null"), ("certificate", "missing")),
     "no physics": (lambda p: p.with_messages("/mujoco", lambda m: []), ("responses", "missing")),
     "an earlier version": (
         lambda _: contents(logged(*SEMI_ACTIVE)).with_claim("run/sky", "errors", lambda text: text.replace("null", "1e-6")),

@@ -25,7 +25,7 @@ what all commands share: files, options, checks, tables of numbers   3588   2328
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6662   2064    345
+vehicle file, types, equations, MJCF                           6663   2064    345
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
@@ -41,13 +41,13 @@ laws in Python                                                  832    706    10
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            224    415    130
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1433    743    206
+semi-active dampers and laws                                   1435    743    206
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
     sim/drive/drivers/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3743   1972    183
+curves of dampers and springs, statistical linearisation       3744   1972    183
     models/characteristics/{__init__,curve*,measured_loop,ratio_table,surface*}.py
     models/parts/{characteristic,curves,damper,lines,plausibility,ratio,spring,surface_damper}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,outputs,stepped}.py tests/sim/test_stepped.py
@@ -72,7 +72,7 @@ analytic and random roads                                      1797    940    16
 preview, LQR, LQG, H2                                           711    625     52
     models/laws/preview.py sim/linear/preview_response.py synth/design/full_order/{preview,quadratic}.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
-anti-windup, integrals, compatible options                      539   1159      0
+anti-windup, integrals, compatible options                      523   1159      0
     models/laws/{anti_windup,combinations}.py models/vehicle/weights.py synth/controller/integral_action.py
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
 fixed order, PI, PID                                            914    332      0
@@ -121,13 +121,13 @@ plant algebra, filters, any plant                              3331   2133    33
     tests/support/weighted.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,loop,methods,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3792    660    180
+synth command, controller record, designer                     3793    660    180
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,design_notes,filtered_plant,law_margins,loop_of,measured_heights}.py
     synth/controller/{problem,report,sampled_report}.py
     synth/vehicle/{__init__,certified_vehicle,design_problem,designer,expected_ride,mean_square}.py
     tests/*/test_{law_warnings,synth_command}.py docs/how-to/synth.md
-log re-verification                                             962    579     43
+log re-verification                                             965    580     43
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
 recordings: MCAP, Foxglove, Rerun                              2389   1142     42
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
@@ -135,7 +135,7 @@ recordings: MCAP, Foxglove, Rerun                              2389   1142     4
 page and figures                                               3805   1381     69
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      3127   1797    189
+campaigns                                                      3128   1798    189
     sim/campaign/* sim/runs/sampled_vehicle.py tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/campaign.md
     docs/how-to/tune-a-law.md
 studies: one noun for commands and the page                     477      0      0
@@ -171,12 +171,12 @@ MuJoCo loop                                                    3058   1103      
 linear responses                                               1026    418      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,response_batch,rounding}.py
     sim/linear/sampled_response.py tests/support/analysed.py tests/synth/test_laws.py
-runs, verdict, their text                                      2879   1052    107
+runs, verdict, their text                                      2881   1052    107
     sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{why-mujoco,not-modelled}.md
-commands that drive                                            1175   1000    372
+commands that drive                                            1176   1000    372
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py

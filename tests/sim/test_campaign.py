@@ -462,6 +462,7 @@ BAD_FILES = [
     ({}, SAMPLED + "sprung_mass = 3", "sprung_mass = 3 is not a distribution"),
     ({}, SAMPLED + "sprung_mass = { cauchy = [1, 2] }", "is not a distribution; give sprung_mass = { uniform = [low, high] } or"),
     ({}, SAMPLED + "sprung_mass = { uniform = [500, 400] }", "is an empty range"),
+    ({}, SAMPLED + "sprung_mass = { normal = [500, 0] }", "has no positive deviation; give a standard deviation above 0"),
     (
         {},
         SAMPLED + "sprung_mass = { uniform = [-10, 400] }",

@@ -266,8 +266,8 @@ def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[s
         if name not in known:
             has = f"the sections {list_names(known)}" if known else "no sections, because there is only one suspension"
             raise InputError(
-                f"[limits.{name}] is not a suspension of this vehicle; omit or rename this section. [limits] allows "
-                f"the keys {list_names(STOP_NAMES)}, and {has}"
+                f"[limits.{name}] is not a suspension of this vehicle; omit {'or rename ' * bool(known)}this section. "
+                f"[limits] allows the keys {list_names(STOP_NAMES)}, and {has}"
             )
         places[name] = read(f"[limits.{name}]", StopSection, value)
     for corner in corners:

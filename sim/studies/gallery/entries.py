@@ -101,7 +101,7 @@ class PrintedNumber(Section):
 
 @dataclass(frozen=True)
 class MissingNumber(Section):
-    """A published number that cannot be compared, because no vehicle file can express the model of the source."""
+    """A published number that is not compared, for example because no vehicle file can express the model of the source."""
 
     what: Annotated[str, Text("description of the number")]
     why: Annotated[str, Text("reason for the missing number, in a line")]

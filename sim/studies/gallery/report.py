@@ -26,7 +26,7 @@ COUNTS: tuple[Field[Result], ...] = (
     Field("source", lambda of: of[0].title, detail="full"),
     Field(REPRODUCED, lambda of: str(sum(one.verdict in (REPRODUCED, ON_ITS_GRID) for one in of[1]))),
     *(Field[Result](word, lambda of, word=word: str(sum(one.verdict == word for one in of[1]))) for word in (DIFFERS, WRONG)),
-    Field("not expressible", lambda of: str(len(of[0].missing))),
+    Field("not compared", lambda of: str(len(of[0].missing))),
 )
 
 
@@ -38,7 +38,7 @@ def describe(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
     text = [" ".join(filter(None, origin))]
     text += dict.fromkeys(f"Reason for a difference: {one.printed.reason}." for one in numbers if one.verdict == DIFFERS)
     text += ["Numbers in brackets follow from data or a formula of the source."] * any(one.printed.derived for one in numbers)
-    text += [f"A vehicle file cannot express this published result: {one.what}. Reason: {one.why}." for one in entry.missing]
+    text += [f"This published result is not compared: {one.what}. Reason: {one.why}." for one in entry.missing]
     shown = [field for field in NUMBERS if field.key != "grid" or any(one.grid is not None for one in numbers)]
     tables = [Table.of(f"gallery-{entry.name}", "Published numbers and computed numbers.", shown, numbers, 2)] if numbers else []
     return Document(entry.title, (*(Statement(one, "fails") for one in fails), *notes(*text), *tables))
@@ -52,7 +52,7 @@ def summary(results: Sequence[Result]) -> Document:
     text = f"{_numbers(reproduced)} reproduced to all digits"
     text += f", and {differ} differ{'s' * (differ == 1)} for a known reason" * bool(differ)
     text += f"; {_numbers(wrong)} {WRONG}." if wrong else "."
-    more = [f"Not expressible in a vehicle file: {missing}."] if missing else []
+    more = [f"Published results that are not compared: {missing}."] if missing else []
     more += [f"{_numbers(derived)} from data or a formula of the source; the others are published."] if derived else []
     with_numbers, without = sources([entry for entry, _ in results])
     if {entry.name for entry, _ in results} == {*names()}:

@@ -341,7 +341,8 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     else:
         friction = "With friction, rms and dynamic load are accurate to 4 %"
     return [
-        f"Expected values use statistical linearisation {'with' if line.remainder else 'without'} second-order remainders. "
+        f"Expected values use statistical linearisation {'with' if line.remainder else 'without'} second-order "
+        f"remainders{', except for accelerations' * (rest is not None and rest.sharp)}. "
         "On this road, the straight lines that replace the curves of springs and dampers have these slopes: "
         f"{'; '.join(slopes)}.{note}",
         f"{accuracy}{friction}; vdv can be up to 10 % too high, and crest up to 35 %. If wheels leave the ground, vdv can be "

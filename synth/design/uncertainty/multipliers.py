@@ -32,7 +32,7 @@ from synth.analysis.stability import is_stable
 from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
 from synth.design.uncertainty.structured_loop import StructuredLoop
 from synth.lmi.barrier import Barrier, Block, newton
-from synth.lmi.least_unknown import CENTRE_DECREMENT, lowest_last
+from synth.lmi.least_unknown import LOOSE_DECREMENT, lowest_last
 from synth.plant.generalized import Plant
 
 NEAR = 3e-4  # relative gap between the proved bound and the peak that the best multipliers give
@@ -386,7 +386,7 @@ def _multipliers(T: Array, k: int, square: float, start: Array | None) -> tuple[
         return float(p[-1]), None
     last = np.zeros((N, 1, 1))
     last[-1] = -1
-    p, _, _ = newton(Barrier([*blocks, (np.array([[square]]), last)]), p, np.zeros(N), CENTRE_DECREMENT)
+    p, _, _ = newton(Barrier([*blocks, (np.array([[square]]), last)]), p, np.zeros(N), LOOSE_DECREMENT)
     return float(p[-1]), p[:-1]
 
 
