@@ -14,8 +14,6 @@ from models.kinds.kind import GRAVITY
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
-    from models.roads.road import Road
-    from models.vehicle.vehicle import Vehicle
 
 
 class KnownQuantity(NamedTuple):
@@ -117,12 +115,12 @@ def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
     return said
 
 
-def vehicle_remarks(vehicle: "Vehicle") -> list[str]:
+def vehicle_remarks(vehicle: Any) -> list[str]:
     """Returns warnings about improbable quantities of a `Vehicle`."""
     return remarks(known_quantities(vehicle))
 
 
-def road_remarks(road: "Road") -> list[str]:
+def road_remarks(road: Any) -> list[str]:
     """Returns warnings about an improbable speed, or an improbable height of an obstacle, of a `Road`."""
     heights = ({"obstacle": KnownQuantity(name, abs(getattr(road, name)), "m")} for name in getattr(road, "tall", ()))
     return remarks([{"speed": KnownQuantity("speed", road.speed, "m/s")}, *heights])

@@ -134,8 +134,9 @@ def drive(
         if unstable and not options.allow_unstable:
             lines += [f"exit code 1, because a closed loop is unstable ({', '.join(unstable)}); --allow-unstable permits this"]
         say(lines)
-    for one in logs if viewers is not None else ():
-        viewers.view(options, one)
+    if viewers is not None:
+        for one in logs:
+            viewers.view(options, one)
     done = all({*each.names} == {run.controller.name for run in each.implemented_runs} for each in driven)
     return 0 if done and all(run.passed for run in runs) and (options.allow_unstable or not unstable) else 1
 

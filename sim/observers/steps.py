@@ -47,7 +47,7 @@ def motion_of(vehicle: Vehicle) -> "Motion | None":
     """Returns the exact equations of motion of a vehicle; None if only its MuJoCo model defines them."""
     if vehicle.kind.motion is not None:
         return vehicle.kind.motion(vehicle.kind.at_wheels(vehicle.parameters))
-    from sim.linear.linear_motion import LinearMotion
+    from sim.linear.linear_motion import LinearMotion  # only vehicles without equations of their own need it
 
     try:
         return None if has_geometry(vehicle) else LinearMotion(vehicle)

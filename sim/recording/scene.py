@@ -1,4 +1,6 @@
-"""Drawing of a run for viewers without MuJoCo: solids on moving bodies, springs, dampers, tyres and forces."""
+"""Drawing of a run for viewers without MuJoCo, made from the MuJoCo model: solids on moving bodies, springs, dampers, tyres and
+forces.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
