@@ -77,7 +77,7 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
     metadata of the channel contain the unit, symbol and meaning of every signal as JSON by name; the schema contains them as
     comments. The topic `/difference` contains the MuJoCo response minus the sampled response, relative to the peak of each
     signal, in single precision. Forces that are not part of the responses are in the topics `/loads` and `/dampers`. The
-    extension "scene of a log" adds events as `foxglove.Log` messages in the topic `/events`. It also adds the moving car in the
+    extension "scene of a log" adds events as `foxglove.Log` messages in the topic `/events`. The moving car is in the
     topics `/transforms`, `/shapes` and `/scene`, with Foxglove's published schemas. Channels without messages are omitted.
     """
     numbers: dict[tuple[Signal, ...], int] = {}

@@ -287,7 +287,7 @@ def test_bad_requests(tmp_path, monkeypatch, options, said):
         ),
         (
             '[samples.controllers.passive]\n"gain[0][0]" = { uniform = [0, 1] }',
-            "the vehicle file contains no [controllers.passive]; sample",
+            "contains no [controllers.passive]; sample",
         ),
         ('[samples.controllers.written]\n"gain[0][0]" = { uniform = [0, 1] }', "'written' has no numbers to sample"),
         ("[samples.controllers.add]\nmix = { uniform = [0, 1] }", "the campaign has no controller 'add'"),
