@@ -24,8 +24,8 @@ from synth.analysis.stability import MARGINAL, beside_weights, is_stable
 from synth.controller.controller import Controller
 from synth.controller.problem import ClosedLoop, Problem
 from synth.plant.generalized import Feedback, Plant
+from synth.plant.numerics import INTEGRATOR_POLE
 
-INTEGRATOR_POLE = 1e-9  # a pole belongs to an integrator if its relative distance from 0 is smaller than this
 RETURNS = 1e-9  # a transfer function counts as zero at 0 rad/s if its value is below this multiple of the terms that form it
 IDLE_INTEGRAL = (
     "the integral of this law leaves a pole at 0 in the loop, so there is no finite norm: no constant force changes the "

@@ -15,9 +15,9 @@ from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.specification import ABOVE, SAMPLED_NORM, SampledNorm
 from synth.controller.controller import Controller
-from synth.controller.integral_action import INTEGRATOR_POLE
 from synth.controller.problem import road_twist_inputs
 from synth.controller.report import norm_if_implemented
+from synth.plant.numerics import INTEGRATOR_POLE
 
 # allowed relative difference between the norms that two computers compute; a multiple of the distance between the levels that
 # enclose the norm

@@ -33,6 +33,7 @@ class TooLargeError(DesignError):
 
 
 # A wrong shape is a programming error of Roadproof, even though numpy raises a LinAlgError for it.
+INTEGRATOR_POLE = 1e-9  # a pole belongs to an integrator if its relative distance from 0 is smaller than this
 OF_SHAPES = ("dimension", "square", "shape")
 NUMERIC = (  # words that numpy, scipy, LAPACK and Python use in messages about numerical failures
     *("infs", "NaN", "finite", "singular", "hermitian", "math domain error", "illegal value"),

@@ -115,7 +115,7 @@ certificates, norms, lower bounds                              3706   2295     4
     synth/analysis/lower_bounds/* synth/command/check.py tests/support/exactly.py
     tests/*/test_{certificate,exact_proofs,false_certificates,lower_bound,no_controller*,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
-plant algebra, filters, any plant                              3331   2133    330
+plant algebra, filters, any plant                              3332   2133    330
     synth/plant/* models/laws/{design_methods,filter,iso2631}.py synth/design/{feedback,methods,problem}.py
     synth/vehicle/state_space.py
     tests/support/weighted.py
