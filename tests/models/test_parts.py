@@ -779,7 +779,7 @@ def test_native_forms_are_the_stages(kind, names, ratio):
     assert worst < EXACT * most
 
 
-H, ROAD = 4e-3, Bump(0.1, 3.0, 12.5)
+H, ROAD = 2.5e-3, Bump(0.1, 3.0, 12.5)
 ROADS = {"quarter_car": ROAD.scaled(0.7), "half_car": ROAD, "half_car_roll": dataclasses.replace(ROAD, track="left")}
 ROADS |= {"full_car": ROADS["half_car_roll"]}
 
